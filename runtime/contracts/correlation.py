@@ -65,9 +65,10 @@ def qlinear_stereo_correlation(
 ) -> Int8Array:
     """Correlates two 8-bit feature maps; the argument order is that of the operator's inputs.
 
-    ``acc = int32 sum over c of (l - zl)(r - zr)``, ``m = float32(float64(sl) * float64(sr) / (C * float64(so)))``,
-    ``out = saturate(round_half_even(float32(acc) * m) + zo)`` and ``zo`` where ``x < d``. Every implementation
-    gives these bits.
+    ``acc = int32 sum over c of (l - zl)(r - zr)``,
+    ``m = float32(float64(sl) * float64(sr) / (C * float64(so)))``,
+    ``out = saturate(round_half_even(float32(acc) * m) + zo)``, and ``zo`` where ``x < d``.
+    Every implementation gives these bits.
 
     Args:
         left: [B, C, H, W], uint8 or int8.
@@ -84,8 +85,8 @@ def qlinear_stereo_correlation(
         The volume, [B, D, H, W] of the type of ``output_zero_point``.
 
     Raises:
-        FormatError: Unequal shapes, not four dimensions, no channel, D below 1, or a zero point of another type
-            than its tensor.
+        FormatError: Unequal shapes, not four dimensions, no channel, D below 1, or a zero point of another
+            type than its tensor.
     """
     _check(left, right, max_disparity)
     zero_points = [np.asarray(zero) for zero in (left_zero_point, right_zero_point, output_zero_point)]
@@ -94,8 +95,8 @@ def qlinear_stereo_correlation(
     ):
         if zero.dtype != dtype or dtype not in (np.uint8, np.int8):
             raise FormatError(
-                f"{name}_zero_point: found {zero.dtype} for a tensor of {dtype}; expected uint8 or int8, the same"
-                " for both; make the zero point with the tensor's dtype"
+                f"{name}_zero_point: found {zero.dtype} for a tensor of {dtype}; expected uint8 or int8, the"
+                " same for both; make the zero point with the tensor's dtype"
             )
     batch, channels, height, width = left.shape
     output_dtype = zero_points[2].dtype
@@ -106,7 +107,7 @@ def qlinear_stereo_correlation(
     left32 = left.astype(np.int32) - int(zero_points[0])
     right32 = right.astype(np.int32) - int(zero_points[1])
     limits = np.iinfo(output_dtype)
-    volume = np.full((batch, max_disparity, height, width), zero_out, output_dtype)
+    volume: Int8Array = np.full((batch, max_disparity, height, width), zero_out, output_dtype)
     for disparity in range(min(max_disparity, width)):
         products = left32[..., disparity:] * right32[..., : width - disparity]
         accumulated = products.sum(axis=1, dtype=np.int32).astype(np.float32)
@@ -119,8 +120,8 @@ def qlinear_stereo_correlation(
 def _check(left: NDArray[np.generic], right: NDArray[np.generic], max_disparity: int) -> None:
     if left.shape != right.shape or left.ndim != 4 or left.shape[1] < 1:
         raise FormatError(
-            f"correlation inputs: found shapes {left.shape} and {right.shape}; expected [B, C, H, W] with C at"
-            " least 1, the same for both; pass the two views of one batch"
+            f"correlation inputs: found shapes {left.shape} and {right.shape}; expected [B, C, H, W] with C"
+            " at least 1, the same for both; pass the two views of one batch"
         )
     if max_disparity < 1:
         raise FormatError(

@@ -1,0 +1,1 @@
+"""Native ONNX Runtime kernels of the ``edge.stereo`` operators, built from the C++ beside this file."""
