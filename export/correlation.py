@@ -1,8 +1,8 @@
 """The correlation volume as plain differentiable torch, which becomes one custom ONNX node while exporting.
 
 Training and evaluation use it as it stands and need no onnx. Under ``torch.onnx.export`` the same call
-leaves a single ``edge.stereo::StereoCorrelation`` node in the graph. The mean over channels is taken in float32,
-also under autocast, where float16 or bfloat16 would lose the small differences between disparities.
+leaves a single ``edge.stereo::StereoCorrelation`` node in the graph. The mean over channels is taken in
+float32, also under autocast, where float16 or bfloat16 would lose the small differences between disparities.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def stereo_correlation(left: Tensor, right: Tensor, max_disparity: int) -> Tenso
     if left.shape != right.shape or left.dim() != 4 or max_disparity < 1:
         raise FormatError(
             f"correlation: found shapes {tuple(left.shape)} and {tuple(right.shape)}, max_disparity"
-            f" {max_disparity}; expected the same [B, C, H, W] twice and at least 1; pass the two views of one batch"
+            f" {max_disparity}; expected the same [B, C, H, W] twice and at least 1; pass both views of one batch"
         )
     if torch.onnx.is_in_onnx_export():
         batch, _, height, width = left.shape

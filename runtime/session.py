@@ -1,8 +1,8 @@
 """The one place where ONNX Runtime sessions are made.
 
-A model's correlation nodes run in our native library where that was built, and otherwise by the function body
-that every exported file carries: the same numbers, more slowly. ``EDGE_NATIVE=0`` in the environment turns the
-library off. ONNX Runtime's own log is silenced, since what matters reaches the caller as one ``SessionError``.
+A model's correlation nodes run in our native library where that was built, and otherwise by the function
+body that every exported file carries: the same numbers, more slowly. ``EDGE_NATIVE=0`` in the environment
+turns the library off. ONNX Runtime's log is silenced: what matters reaches the caller as a ``SessionError``.
 """
 
 from __future__ import annotations
@@ -274,8 +274,8 @@ def _load_failure(label: str, error: Exception) -> str:
             f" those of {DOMAIN} with their function body; export it with this project's edge export"
         )
     return (
-        f"{label}: found that ONNX Runtime {ort.__version__} cannot load it ({reason}); expected an ONNX model"
-        " of an opset and IR version that it knows; export it again or update onnxruntime"
+        f"{label}: found that ONNX Runtime {ort.__version__} cannot load it ({reason}); expected an ONNX"
+        " model of an opset and IR version that it knows; export it again or update onnxruntime"
     )
 
 

@@ -9,6 +9,8 @@ are tested against; it is written for clarity, not for speed.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,7 +24,7 @@ MAX_DISPARITY = "max_disparity"
 """Name of the one attribute that both operators carry: how many disparities, D."""
 
 Float32Array = NDArray[np.float32]
-Int8Array = NDArray[np.uint8] | NDArray[np.int8]
+Int8Array = NDArray[np.integer[Any]]
 
 
 def stereo_correlation(left: Float32Array, right: Float32Array, max_disparity: int) -> Float32Array:
