@@ -1,0 +1,1 @@
+"""Which frames calibrate INT8, and the ranges that they show."""

@@ -1,0 +1,1 @@
+"""The top room: command line, detector, training, evaluation, report, simulation, model zoo."""

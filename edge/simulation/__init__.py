@@ -1,0 +1,1 @@
+"""Procedural stereo drives with exact labels."""

@@ -1,0 +1,1 @@
+"""Draws a `Scene` through pinhole cameras with OpenGL: linear radiance, exact object ids, depth."""

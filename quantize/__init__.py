@@ -1,0 +1,1 @@
+"""ONNX graph, ranges and recipe to an INT8 ONNX graph."""
