@@ -62,7 +62,9 @@ def rays_from_clip(camera: PinholeCamera) -> Matrix:
     return camera.camera_from_world[:3, :3].T @ np.linalg.inv(camera.intrinsics) @ pixel_from_ndc
 
 
-def shadow_clip_from_world(camera: PinholeCamera, towards_sun: Matrix, *, origin: Matrix, texels: int) -> Matrix:
+def shadow_clip_from_world(
+    camera: PinholeCamera, towards_sun: Matrix, *, origin: Matrix, texels: int
+) -> Matrix:
     """(4, 4) orthographic clip matrix of the sun's view of the road ahead, for points relative to ``origin``.
 
     The covered block reaches from `SHADOW_BEHIND_M` behind to `SHADOW_AHEAD_M` ahead of the camera. Its corner
@@ -113,3 +115,46 @@ def spheres_inside(clip: Matrix, centres: Matrix, radii: Matrix) -> NDArray[np.b
     planes = volume_planes(clip)
     distances = centres @ planes[:, :3].T + planes[:, 3]
     return (distances >= -radii[:, None]).all(axis=1)
+
+
+def cover_matrices(camera: PinholeCamera, origin: Matrix) -> tuple[Matrix, Matrix]:
+    """Matrices of the map that looks straight down on the block that the shadow map covers.
+
+    Returns:
+        (4, 4) clip matrix to draw it with (highest wins), and a (4, 4) matrix giving (x, y) in [-1, 1] on
+        the map and the height above the origin in metres as z. Both take points relative to ``origin``.
+    """
+    heading = camera.camera_from_world[2, :3] * np.array([1.0, 0.0, 1.0])
+    heading /= np.linalg.norm(heading)
+    right = np.array([heading[2], 0.0, -heading[0]])
+    half_length = (SHADOW_AHEAD_M + SHADOW_BEHIND_M) / 2
+    middle = camera_position(camera) + heading * (SHADOW_AHEAD_M - half_length) - origin
+    lookup = np.eye(4)
+    lookup[0, :3] = right / SHADOW_ASIDE_M
+    lookup[1, :3] = heading / half_length
+    lookup[:2, 3] = -lookup[:2, :3] @ middle
+    lookup[2] = [0.0, -1.0, 0.0, 0.0]
+    clip = lookup.copy()
+    clip[2] = [0.0, 1.0 / 200.0, 0.0, 0.0]  # y down: the lower, the farther
+    return clip, lookup
+
+
+def window_of_spheres(
+    clip: Matrix, centres: Matrix, *, radii_m: Matrix, size_wh: tuple[int, int]
+) -> tuple[int, int, int, int] | None:
+    """A pixel window [x0, x1) x [y0, y1) that holds all spheres drawn with ``clip``; None if they are unseen."""
+    seen = spheres_inside(clip, centres, radii_m)
+    if not seen.any():
+        return None
+    cube = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
+    corners = (centres[:, None] + cube * radii_m[:, None, None]).reshape(-1, 3)
+    in_clip = corners @ clip[:, :3].T + clip[:, 3]
+    width, height = size_wh
+    if (in_clip[:, 3] < NEAR_M).any():
+        return 0, 0, width, height
+    window = (in_clip[:, :2] / in_clip[:, 3:] + 1.0) / 2.0 * np.array([width, height])
+    low = np.clip(np.floor(window.min(axis=0)).astype(int), 0, [width, height])
+    high = np.clip(np.ceil(window.max(axis=0)).astype(int), 0, [width, height])
+    if (high <= low).any():
+        return None
+    return int(low[0]), int(low[1]), int(high[0]), int(high[1])
