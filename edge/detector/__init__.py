@@ -1,0 +1,1 @@
+"""The detector YOLOStereo3D as a torch module, its presets and its weights (paper, section III)."""

@@ -1,0 +1,186 @@
+"""Named detectors: everything that tells one from another, as data.
+
+``paper`` is the published network with the official code's settings. ``compact`` is the same family cut to 8 M
+parameters and 20 G multiply-adds: ResNet-18, half the disparities at stride 8, narrower fusion, a two-layer box
+branch; it looks at the band of the image around the road at a fixed focal length, so that any camera shows it a car
+of 4 m at 20 m in the same number of pixels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from runtime.contracts.errors import EdgeError
+from runtime.contracts.manifest import (
+    AnchorLayout,
+    Crop,
+    Manifest,
+    NmsPolicy,
+    Normalisation,
+    RigLimits,
+    Thresholds,
+)
+
+KITTI_FOCAL_PX = 721.5377
+KITTI_ROWS = 375
+KITTI_BASELINE_M = 0.5327119287764802
+
+
+class PresetError(EdgeError):
+    """No preset of that name."""
+
+
+@dataclass(frozen=True, slots=True)
+class NeckShape:
+    """Widths of the stereo neck. Disparities are in cells of their scale."""
+
+    disparities_at_4: int = 24
+    disparities_at_8: int = 24
+    concat_features: int = 8
+    concat_shifts: int = 12
+    width_at_8: int = 72
+    width_at_16: int = 288
+    out_channels: int = 1152
+    disparity_widths: tuple[int, int] = (576, 288)
+    disparity_classes: int = 96
+
+
+@dataclass(frozen=True, slots=True)
+class HeadShape:
+    """Widths of the head; ``box_width`` None keeps the width of the features."""
+
+    class_width: int = 256
+    box_width: int | None = None
+    final_kernel: int = 3
+    dropout: float = 0.3
+    initial_probability: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkShape:
+    """Shapes of all parts of the network."""
+
+    backbone_depth: int
+    backbone_widths: tuple[int, int, int] = (64, 128, 256)
+    neck: NeckShape = field(default_factory=NeckShape)
+    head: HeadShape = field(default_factory=HeadShape)
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingDefaults:
+    """How a preset trains unless told otherwise.
+
+    Attributes:
+        class_weights: weight of the positive focal term a class.
+        frozen_backbone_parts: parts of the backbone, from the stem on, whose weights stay as loaded.
+        ignore_neighbours: anchors on look-alike classes (Van, sitting person) and in DontCare regions teach nothing;
+            the official code takes them as background.
+        claim_without_overlap: an object without any overlap claims every anchor without overlap (official flaw).
+        learning_rate, batch_size, gradient_clip_norm: optimiser settings.
+        photometric: strength of colour augmentation, 1 is the official range.
+    """
+
+    class_weights: tuple[float, ...]
+    learning_rate: float = 1e-4
+    final_learning_rate: float = 5e-6
+    batch_size: int = 4
+    gradient_clip_norm: float = 0.1
+    frozen_backbone_parts: int = 0
+    ignore_neighbours: bool = False
+    claim_without_overlap: bool = False
+    disparity_weight: float = 1.0
+    z_weight: float = 12.0
+
+
+@dataclass(frozen=True, slots=True)
+class Preset:
+    """One detector."""
+
+    name: str
+    classes: tuple[str, ...]
+    input_size_hw: tuple[int, int]
+    crop: Crop
+    rig: RigLimits
+    network: NetworkShape
+    training: TrainingDefaults
+    anchors: AnchorLayout = field(default_factory=AnchorLayout)
+    nms: NmsPolicy = field(default_factory=NmsPolicy)
+    thresholds: Thresholds = field(default_factory=Thresholds)
+    normalisation: Normalisation = field(default_factory=Normalisation)
+
+    def manifest(self, *, input_type: str = "uint8") -> Manifest:
+        """The manifest that a model of this preset starts from."""
+        return Manifest(
+            preset=self.name,
+            classes=self.classes,
+            input_size_hw=self.input_size_hw,
+            input_type=input_type,  # type: ignore[arg-type]
+            views=2,
+            crop=self.crop,
+            normalisation=self.normalisation,
+            anchors=self.anchors,
+            nms=self.nms,
+            thresholds=self.thresholds,
+            rig=self.rig,
+        )
+
+
+_PAPER_SCALE = 288 / (KITTI_ROWS - 100)
+COMPACT_FOCAL_PX = 520.0
+
+PRESETS: dict[str, Preset] = {
+    "paper": Preset(
+        name="paper",
+        classes=("Car", "Pedestrian"),
+        input_size_hw=(288, 1280),
+        crop=Crop("top_rows", 100),
+        rig=RigLimits(KITTI_FOCAL_PX * _PAPER_SCALE, KITTI_BASELINE_M),
+        network=NetworkShape(backbone_depth=34),
+        training=TrainingDefaults(class_weights=(20.0, 40.0)),
+        thresholds=Thresholds(evaluate=0.75, display=0.75),
+    ),
+    "compact": Preset(
+        name="compact",
+        classes=("Car", "Pedestrian", "Cyclist"),
+        input_size_hw=(192, 896),
+        crop=Crop("above_horizon", 64, KITTI_FOCAL_PX),
+        rig=RigLimits(COMPACT_FOCAL_PX, KITTI_BASELINE_M),
+        network=NetworkShape(
+            backbone_depth=18,
+            neck=NeckShape(
+                disparities_at_4=24,
+                disparities_at_8=12,
+                concat_features=8,
+                concat_shifts=6,
+                width_at_8=64,
+                width_at_16=128,
+                out_channels=192,
+                disparity_widths=(96, 48),
+                disparity_classes=96,
+            ),
+            head=HeadShape(class_width=128, box_width=192, final_kernel=1, dropout=0.1, initial_probability=0.01),
+        ),
+        training=TrainingDefaults(
+            class_weights=(20.0, 40.0, 40.0),
+            learning_rate=5e-4,
+            batch_size=8,
+            gradient_clip_norm=5.0,
+            frozen_backbone_parts=1,
+            ignore_neighbours=True,
+        ),
+        anchors=AnchorLayout(base_px=14.0, scales_per_octave=3.0, scale_count=12),
+        nms=NmsPolicy(iou=0.4, per_class=True),
+        thresholds=Thresholds(evaluate=0.05, display=0.5),
+    ),
+}
+
+
+def preset(name: str) -> Preset:
+    """Look a preset up.
+
+    Raises:
+        PresetError: no preset of that name.
+    """
+    if name not in PRESETS:
+        raise PresetError(f"preset is {name!r}, expected one of {', '.join(PRESETS)}; choose one of these")
+    return PRESETS[name]

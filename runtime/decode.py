@@ -1,0 +1,156 @@
+"""From head outputs to 3D boxes, on the CPU in NumPy (paper, section III-B; official order of steps).
+
+Usable anchors whose best class passes the threshold are decoded, clipped, dropped where their class has no prior,
+and thinned by NMS. Kept from the official code: NMS over all classes (a field of the manifest), the one-sided clip,
+no limit on the number of boxes. Corrected: class names belong to their boxes; boxes at or behind the camera or
+without a positive size are dropped; angles are wrapped unless ``official_angles`` asks for the recorded form.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.anchors import BoolArray, anchor_grid, usable_anchors
+from runtime.boxcode import ALPHA, CX, CY, HEIGHT, LENGTH, WIDTH, X1, X2, Y1, Y2, Z, FloatArray32, decode_boxes
+from runtime.contracts.geometry import FloatArray, back_project
+from runtime.contracts.manifest import AnchorPriors, Manifest
+from runtime.contracts.objects import Detections3D, wrap_angle_rad
+from runtime.nms import non_maximum_suppression
+from runtime.preprocess import NetworkView
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkBoxes:
+    """Boxes in network pixels, by falling score.
+
+    Attributes:
+        boxes: (N, 11) float32, columns of `runtime.boxcode`.
+        score: (N,) float32.
+        class_id: (N,) int64.
+        anchor_index: (N,) int64, the anchor that each box comes from.
+    """
+
+    boxes: FloatArray32
+    score: FloatArray32
+    class_id: NDArray[np.int64]
+    anchor_index: NDArray[np.int64]
+
+
+class Decoder:
+    """Decodes one model's outputs; keeps the anchors and, for each camera, which of them are usable."""
+
+    def __init__(self, manifest: Manifest, priors: AnchorPriors) -> None:
+        self._manifest = manifest
+        self._priors = priors
+        self._grid = anchor_grid(manifest.anchors, manifest.input_size_hw)
+        self._mean, self._std = priors.by_anchor()
+        self._usable: dict[bytes, BoolArray] = {}
+
+    def usable(self, P2: FloatArray) -> BoolArray:
+        """(N,) bool: anchors near the ground plane for this projection of the network image."""
+        key = P2.tobytes()
+        if key not in self._usable:
+            if len(self._usable) >= 8:  # a stream has one camera; folders of many drives have a handful
+                self._usable.clear()
+            self._usable[key] = usable_anchors(self._grid, self._manifest.anchors, priors=self._priors, P2=P2)
+        return self._usable[key]
+
+    def candidates(
+        self, cls_logits: FloatArray32, box_deltas: FloatArray32, *, P2: FloatArray, score: float
+    ) -> NetworkBoxes:
+        """Decoded boxes above ``score`` whose class has a prior, before NMS, in anchor order.
+
+        Args:
+            cls_logits: (1, N, classes + 1), the last is the facing logit.
+            box_deltas: (1, N, 12).
+            P2: (3, 4) of the network image.
+            score: threshold, exclusive.
+        """
+        logits = cls_logits[0, :, :-1]
+        best = logits.max(axis=1)
+        passed = np.flatnonzero((best > np.log(score) - np.log1p(-score)) & self.usable(P2))
+        label = logits[passed].argmax(axis=1)
+        shape = self._grid.shape_index[passed]
+        has_prior = self._mean[label, shape, 0] > 0
+        passed, label, shape = passed[has_prior], label[has_prior], shape[has_prior]
+        boxes = decode_boxes(
+            box_deltas[0, passed],
+            anchor_center_xy=self._grid.center_xy[passed],
+            anchor_size_wh=self._grid.size_wh[passed],
+            prior_mean=self._mean[label, shape],
+            prior_std=self._std[label, shape],
+            facing_away=cls_logits[0, passed, -1] < 0,
+        )
+        height, width = self._manifest.input_size_hw
+        boxes[:, X1 : Y1 + 1] = np.maximum(boxes[:, X1 : Y1 + 1], 0)
+        boxes[:, X2] = np.minimum(boxes[:, X2], width)
+        boxes[:, Y2] = np.minimum(boxes[:, Y2], height)
+        probability = 1 / (1 + np.exp(-best[passed]))
+        return NetworkBoxes(boxes, probability.astype(np.float32), label, passed)
+
+    def decode_in_network(
+        self, cls_logits: FloatArray32, box_deltas: FloatArray32, *, P2: FloatArray, score: float
+    ) -> NetworkBoxes:
+        """`candidates` after NMS, by falling score."""
+        found = self.candidates(cls_logits, box_deltas, P2=P2, score=score)
+        policy = self._manifest.nms
+        keep = non_maximum_suppression(
+            found.boxes[:, X1 : Y2 + 1].astype(np.float64),
+            found.score,
+            policy.iou,
+            groups=found.class_id if policy.per_class else None,
+        )
+        return NetworkBoxes(found.boxes[keep], found.score[keep], found.class_id[keep], found.anchor_index[keep])
+
+    def decode(
+        self,
+        cls_logits: FloatArray32,
+        box_deltas: FloatArray32,
+        view: NetworkView,
+        *,
+        score: float | None = None,
+        official_angles: bool = False,
+    ) -> Detections3D:
+        """Boxes in the camera's pixels and frame.
+
+        Args:
+            cls_logits: (1, N, classes + 1); box_deltas: (1, N, 12).
+            view: how the camera's image became the network's.
+            score: threshold; None takes the manifest's ``evaluate``.
+            official_angles: leave alpha and yaw unwrapped, as the official result files have them.
+        """
+        threshold = self._manifest.thresholds.evaluate if score is None else score
+        found = self.decode_in_network(cls_logits, box_deltas, P2=view.geometry.P2, score=threshold)
+        return to_detections(found, view, self._manifest.classes, official_angles=official_angles)
+
+
+def to_detections(
+    found: NetworkBoxes, view: NetworkView, classes: tuple[str, ...], *, official_angles: bool = False
+) -> Detections3D:
+    """Boxes of the network image to the camera's pixels and frame.
+
+    The centre is back-projected from (cx, cy, z); yaw = alpha + atan2(X + t_x / f_x, z).
+    """
+    boxes = found.boxes.astype(np.float64)
+    real = (boxes[:, Z] > 0) & (boxes[:, WIDTH : LENGTH + 1] > 0).all(axis=1) & np.isfinite(boxes).all(axis=1)
+    boxes = boxes[real]
+    P2 = view.geometry.P2
+    depth_m = boxes[:, Z]
+    flat = P2.copy()
+    flat[2, 3] = 0.0  # the official code takes z as the depth in the reference frame; t_z is 2.7 mm in KITTI
+    center = back_project(flat, boxes[:, CX : CY + 1], depth_m)
+    alpha = boxes[:, ALPHA]
+    yaw = alpha + np.arctan2(center[:, 0] + P2[0, 3] / P2[0, 0], depth_m)
+    return Detections3D(
+        class_id=found.class_id[real],
+        score=found.score[real].astype(np.float64),
+        box_in_left_image=view.to_camera(boxes[:, X1 : Y2 + 1]),
+        center_in_camera=center,
+        size_hwl=boxes[:, [HEIGHT, WIDTH, LENGTH]],
+        alpha_rad=alpha if official_angles else wrap_angle_rad(alpha),
+        yaw_rad=yaw if official_angles else wrap_angle_rad(yaw),
+        class_names=classes,
+    )
