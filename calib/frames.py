@@ -1,0 +1,118 @@
+"""Which frames of a source calibrate, and the record of the choice.
+
+Frames are taken at equal distances over the whole source, since neighbours in a drive show the same scene;
+the two views of a frame stay together. What was chosen is written down with a hash of the pixels, so that a
+later run can tell whether it saw the same and whether a measuring source overlaps.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import islice
+
+from runtime.contracts.errors import SourceError
+from runtime.contracts.frame import StereoFrame
+
+SHORT_HASH = 16
+
+
+@dataclass(frozen=True, slots=True)
+class ChosenFrame:
+    """One calibration frame.
+
+    Attributes:
+        frame_id: its name in the source.
+        pixels: start of the SHA-256 over the pixels of both views.
+    """
+
+    frame_id: str
+    pixels: str
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationSet:
+    """The frames that were used.
+
+    Attributes:
+        source: what names the source (its URI, without the folders above it where it lies in the package).
+        frames: in the order of the source.
+        available: how many frames the source had; None for a live one.
+    """
+
+    source: str
+    frames: tuple[ChosenFrame, ...]
+    available: int | None
+
+    @property
+    def digest(self) -> str:
+        """One hash for all pixels, in order."""
+        return hashlib.sha256("".join(frame.pixels for frame in self.frames).encode()).hexdigest()
+
+
+def spread_indices(available: int, wanted: int) -> tuple[int, ...]:
+    """Indices at equal distances, the middle of ``wanted`` equal parts; all, where there are fewer.
+
+    Raises:
+        SourceError: none is available, or none is wanted.
+    """
+    if wanted < 1:
+        raise SourceError(f"--frames: found {wanted}; expected 1 or more; 100 serve well")
+    if available < 1:
+        raise SourceError(
+            "calibration source: found no frames; expected one or more; check the folder and the options"
+        )
+    if wanted >= available:
+        return tuple(range(available))
+    return tuple(int((2 * part + 1) * available // (2 * wanted)) for part in range(wanted))
+
+
+def pixel_hash(frame: StereoFrame) -> str:
+    """Start of the SHA-256 over the frame's pixels, left then right."""
+    digest = hashlib.sha256(frame.left.tobytes())
+    if frame.right is not None:
+        digest.update(frame.right.tobytes())
+    return digest.hexdigest()[:SHORT_HASH]
+
+
+def chosen_frames(source: Iterable[StereoFrame], wanted: int) -> Iterator[StereoFrame]:
+    """Yields the calibration frames of a source, one at a time.
+
+    A file-backed source (a sequence) is sampled over its length; a live one gives its first frames.
+
+    Raises:
+        SourceError: no frame.
+    """
+    if not is_sequence(source):
+        spread_indices(1, wanted)
+        empty = True
+        for frame in islice(iter(source), wanted):
+            empty = False
+            yield frame
+        if empty:
+            spread_indices(0, wanted)
+        return
+    for index in spread_indices(len(source), wanted):  # type: ignore[arg-type]
+        yield source[index]  # type: ignore[index]
+
+
+def is_sequence(source: object) -> bool:
+    """Whether a source can be indexed: file-backed ones can, live ones cannot."""
+    return hasattr(source, "__getitem__") and hasattr(source, "__len__")
+
+
+def record(source: Iterable[StereoFrame], wanted: int, *, name: str) -> CalibrationSet:
+    """Reads the calibration frames once and writes down their hashes.
+
+    Raises:
+        SourceError: no frame.
+    """
+    chosen = tuple(ChosenFrame(frame.frame_id, pixel_hash(frame)) for frame in chosen_frames(source, wanted))
+    return CalibrationSet(name, chosen, len(source) if is_sequence(source) else None)  # type: ignore[arg-type]
+
+
+def overlap(calibration: CalibrationSet, measuring: Iterable[StereoFrame]) -> tuple[str, ...]:
+    """Ids of measuring frames whose pixels calibrated, too."""
+    known = {frame.pixels for frame in calibration.frames}
+    return tuple(frame.frame_id for frame in measuring if pixel_hash(frame) in known)
