@@ -1,0 +1,1 @@
+"""How good detections are: KITTI average precision, agreement of two models, errors by distance."""
