@@ -17,7 +17,7 @@ from runtime.contracts.kitti import KITTI_CLASSES, MISSING_ALPHA_RAD
 from runtime.contracts.objects import Detections3D, IntArray, Objects3D
 
 ApTree = dict[str, dict[str, dict[str, dict[str, list[float]]]]]
-"""class -> metric (``2d``, ``bev``, ``3d``, ``aos``) -> overlap -> ``R40``/``R11`` -> [easy, moderate, hard]."""
+"""class -> metric (``2d`` ``bev`` ``3d`` ``aos``) -> overlap -> ``R40``, ``R11`` -> easy, moderate, hard."""
 
 CurveKey = tuple[str, str, str]
 """class, metric (``2d``, ``bev``, ``3d``), overlap."""
