@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.resources import files
 from pathlib import Path
 
-LIBRARY_NAME = "libedge_stereo.so"
+from runtime.native.build import LIBRARY_NAME
 
 
 def library_path() -> Path | None:
