@@ -1,8 +1,8 @@
 """The ``edge`` command: finds each command in its own module and turns errors into one line and an exit code.
 
-A command NAME is the function ``NAME_command`` in ``edge.cli.NAME``. Modules are imported when their command is
-asked for (or listed by ``--help``), and import what is heavy inside the function, so that a command needs only the
-packages that it uses.
+A command NAME is the function ``NAME_command`` in ``edge.cli.NAME``. Modules are imported when their command
+is asked for (or listed by ``--help``), and import what is heavy inside the function, so that a command needs
+only the packages that it uses.
 """
 
 from __future__ import annotations
