@@ -1,0 +1,1 @@
+"""Turns records of measurements into report.md, report.json and pictures."""
