@@ -36,7 +36,7 @@ def stereo_correlation(left: Tensor, right: Tensor, max_disparity: int) -> Tenso
     if left.shape != right.shape or left.dim() != 4 or max_disparity < 1:
         raise FormatError(
             f"correlation: found shapes {tuple(left.shape)} and {tuple(right.shape)}, max_disparity"
-            f" {max_disparity}; expected the same [B, C, H, W] twice and at least 1; pass both views of one batch"
+            f" {max_disparity}; expected the same [B, C, H, W] twice and at least 1; pass both views"
         )
     if torch.onnx.is_in_onnx_export():
         batch, _, height, width = left.shape

@@ -1,14 +1,15 @@
 """The body of ``StereoCorrelation`` in standard operators, which every exported file carries.
 
-It runs wherever the native library does not. Nothing about a node is baked in: ``max_disparity`` is read from
-the node's attribute and every extent from its inputs at run time, so that one body serves nodes of different D
-and images of any size.
+It runs wherever the native library does not. Nothing about a node is baked in: ``max_disparity`` is read
+from the node's attribute and every extent from its inputs at run time, so that one body serves nodes of
+different D and images of any size.
 
-The idea: for one image row the scores of all pairs of columns are one matrix product, ``left^T right``, which
-ONNX Runtime does at full speed; the volume is the band of it beside the diagonal. The right view is padded with
-D - 1 zero columns on its left, so the band of row x starts at column x. To read a band as a rectangle, the rows
-of length L = W + D - 1 are laid end to end, W zeros are appended, and the whole is cut into W rows of L + 1:
-row x has moved x columns to the left. Its first D columns are the disparities D - 1 .. 0.
+The idea: for one image row the scores of all pairs of columns are one matrix product, ``left^T right``,
+which ONNX Runtime does at full speed; the volume is the band of it beside the diagonal. The right view is
+padded with D - 1 zero columns on its left, so the band of row x starts at column x. To read a band as a
+rectangle, the rows of length L = W + D - 1 are laid end to end, W zeros are appended, and the whole is cut
+into W rows of L + 1: row x has moved x columns to the left. Its first D columns are the disparities D - 1
+.. 0.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Writes a model directory: beside its place first, then renamed, so that a half-written one is never seen."""
+"""Writes a model directory beside its place and renames it, so that no half-written one is ever seen."""
 
 from __future__ import annotations
 
@@ -105,6 +105,6 @@ def _swap(folder: Path, out: Path, *, retired: Path) -> None:
 
 def _unwritable(out: Path, error: OSError) -> OutputError:
     return OutputError(
-        f"{out}: found that it cannot be written ({error.strerror}); expected a writable folder; choose another"
-        " --out"
+        f"{out}: found that it cannot be written ({error.strerror}); expected a writable folder; choose"
+        " another --out"
     )

@@ -1,4 +1,4 @@
-"""Proof that the exported graph computes what the torch module computes, with and without the native library."""
+"""Proof that the exported graph computes what torch does, with and without the native library."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from export.errors import ExportError
 from runtime.session import Session, open_session
 
 GOAL = 1e-4
-"""Largest tolerated max|a - b| / max|a| of an output: float32 sums in another order stay two decades below."""
+"""Largest max|a - b| / max|a| of an output: float32 sums in another order stay two decades below."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +25,8 @@ class OutputParity:
 
     Attributes:
         name: of the output.
-        function_body: max|torch - onnxruntime| / max|torch| where the function body computes the correlations.
+        function_body: max|torch - onnxruntime| / max|torch| where the function body computes the
+            correlations.
         native: the same where the native library does; None where it is not built.
     """
 

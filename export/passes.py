@@ -1,8 +1,8 @@
 """What turns the exporter's graph into a finished one: simplified, named after the modules, free of traces.
 
 The order matters: names are taken from what the exporter noted of each node's module, so they come first;
-simplifying comes next, and forgetting the notes last. Each pass takes a model and returns a new or changed one,
-and none may lose a custom node or a function: ``finish`` counts them before and after.
+simplifying comes next, and forgetting the notes last. Each pass takes a model and returns a new or changed
+one, and none may lose a custom node or a function: ``finish`` counts them before and after.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ def custom_nodes(model: onnx.ModelProto) -> Counter[str]:
 def name_after_modules(model: onnx.ModelProto) -> onnx.ModelProto:
     """Names nodes and the tensors between them after their torch modules.
 
-    ``backbone.layer1.0.conv1/Conv`` says where in the network a node lies, which every later report about single
-    layers relies on. Inputs, outputs and weights keep their names, weights without the wrapper's.
+    ``backbone.layer1.0.conv1/Conv`` says where in the network a node lies, which every later report about
+    single layers relies on. Inputs, outputs and weights keep their names, weights without the wrapper's.
     """
     renamed: dict[str, str] = {}
     kept = {item.name for item in (*model.graph.input, *model.graph.output)}

@@ -32,7 +32,7 @@ def to_onnx(module: nn.Module, inputs: Mapping[str, Tensor], output_names: Seque
         output_names: Names for what ``forward`` returns, in its order.
 
     Returns:
-        The finished graph: weights inside, correlations as single custom nodes with their function beside them.
+        The finished graph: weights inside, correlations as single custom nodes with their function beside.
 
     Raises:
         ExportError: torch cannot export the module, or a pass lost a part of it.
@@ -55,8 +55,8 @@ def to_onnx(module: nn.Module, inputs: Mapping[str, Tensor], output_names: Seque
     except torch.onnx.errors.OnnxExporterError as error:
         reason = str(error).strip().splitlines()[0]
         raise ExportError(
-            f"{type(module).__name__}: found that torch cannot export it ({reason}); expected a module without"
-            " data-dependent shapes or branches; simplify its forward"
+            f"{type(module).__name__}: found that torch cannot export it ({reason}); expected a module"
+            " without data-dependent shapes or branches; simplify its forward"
         ) from error
     finally:
         module.train(training)
@@ -71,8 +71,8 @@ def _with_functions(model: onnx.ModelProto) -> onnx.ModelProto:
     unknown = set(custom_nodes(model)) - {STEREO_CORRELATION}
     if unknown:
         raise ExportError(
-            f"export: found nodes {sorted(unknown)} of {DOMAIN}; expected {STEREO_CORRELATION} alone; correlate"
-            " through export.correlation"
+            f"export: found nodes {sorted(unknown)} of {DOMAIN}; expected {STEREO_CORRELATION} alone;"
+            " correlate through export.correlation"
         )
     del model.functions[:]
     versions = {"": OPSET_VERSION}
@@ -87,7 +87,7 @@ def _with_functions(model: onnx.ModelProto) -> onnx.ModelProto:
 
 @contextmanager
 def _quiet_exporter() -> Iterator[None]:
-    """Keeps torch's notes about packages that nothing here needs, and its own deprecations, off the screen."""
+    """Keeps torch's notes about packages not needed here, and its own deprecations, off the screen."""
     logger = logging.getLogger("torch.onnx")
     level = logger.level
     logger.setLevel(logging.ERROR)

@@ -238,7 +238,7 @@ def _has_custom_nodes(source: str | bytes) -> bool:
         return marker in source
     if Path(source).stat().st_size == 0:
         return False
-    with open(source, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+    with Path(source).open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
         return content.find(marker) >= 0
 
 

@@ -18,7 +18,15 @@ from pathlib import Path
 LIBRARY_NAME = "libedge_stereo.so"
 SOURCE_DIRECTORY = Path(__file__).parent
 
-COMMON_FLAGS = ("-std=c++17", "-fPIC", "-fvisibility=hidden", "-ffp-contract=off", "-Wall", "-Wextra", "-Werror")
+COMMON_FLAGS = (
+    "-std=c++17",
+    "-fPIC",
+    "-fvisibility=hidden",
+    "-ffp-contract=off",
+    "-Wall",
+    "-Wextra",
+    "-Werror",
+)
 """No contraction: a*b+c in one rounding would change the quantized operator's bits."""
 
 LINK_FLAGS = ("-shared", "-static-libstdc++", "-static-libgcc", "-Wl,--exclude-libs,ALL")
@@ -52,7 +60,9 @@ def find_compiler() -> list[str]:
     for name in ("c++", "g++", "clang++"):
         if path := shutil.which(name):
             return [path]
-    raise BuildError(f"found no C++ compiler; expected c++, g++ or clang++ (or CXX); install one, else {HINT}")
+    raise BuildError(
+        f"found no C++ compiler; expected c++, g++ or clang++ (or CXX); install one, else {HINT}"
+    )
 
 
 def compile_objects(
@@ -149,7 +159,9 @@ def main(arguments: Sequence[str] = ()) -> int:
 
 def _failure(name: str, output: str) -> BuildError:
     first = next((line for line in output.splitlines() if "error" in line.lower()), output.strip()[:200])
-    return BuildError(f"found that {name} does not compile ({first}); expected a C++17 compiler; update it, else {HINT}")
+    return BuildError(
+        f"found that {name} does not compile ({first}); expected a C++17 compiler; update it, else {HINT}"
+    )
 
 
 if __name__ == "__main__":
