@@ -49,7 +49,9 @@ def decode_boxes(
     half = np.float32(0.5) * anchor_size_wh * np.exp(np.float32(SIZE_FACTOR) * deltas[:, 2:4])
     projected = anchor_center_xy + np.float32(CENTER_FACTOR) * deltas[:, 4:6] * anchor_size_wh
     scaled = prior_mean + prior_std * deltas[:, 6:12]
-    alpha = np.arctan2(scaled[:, 1], scaled[:, 2]) / np.float32(2) + np.where(facing_away, np.float32(np.pi), np.float32(0))
+    alpha = np.arctan2(scaled[:, 1], scaled[:, 2]) / np.float32(2) + np.where(
+        facing_away, np.float32(np.pi), np.float32(0)
+    )
     return np.concatenate(
         [center - half, center + half, projected, scaled[:, 0:1], scaled[:, 3:6], alpha[:, None]], axis=1
     ).astype(np.float32)
@@ -68,7 +70,15 @@ def encode_boxes(
     size_wh = boxes[:, 2:4] - boxes[:, 0:2]
     alpha = boxes[:, ALPHA]
     quantities = np.stack(
-        [boxes[:, Z], np.sin(2 * alpha), np.cos(2 * alpha), boxes[:, WIDTH], boxes[:, HEIGHT], boxes[:, LENGTH]], axis=1
+        [
+            boxes[:, Z],
+            np.sin(2 * alpha),
+            np.cos(2 * alpha),
+            boxes[:, WIDTH],
+            boxes[:, HEIGHT],
+            boxes[:, LENGTH],
+        ],
+        axis=1,
     )
     return np.concatenate(
         [

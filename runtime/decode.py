@@ -14,7 +14,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.anchors import BoolArray, anchor_grid, usable_anchors
-from runtime.boxcode import ALPHA, CX, CY, HEIGHT, LENGTH, WIDTH, X1, X2, Y1, Y2, Z, FloatArray32, decode_boxes
+from runtime.boxcode import (
+    ALPHA,
+    CX,
+    CY,
+    HEIGHT,
+    LENGTH,
+    WIDTH,
+    X1,
+    X2,
+    Y1,
+    Y2,
+    FloatArray32,
+    Z,
+    decode_boxes,
+)
 from runtime.contracts.geometry import FloatArray, back_project
 from runtime.contracts.manifest import AnchorPriors, Manifest
 from runtime.contracts.objects import Detections3D, wrap_angle_rad

@@ -42,7 +42,7 @@ class AnchorHead(nn.Module):
         self.regression = nn.Sequential(
             conv_norm_relu(in_channels, box_width),
             BasicBlock(box_width, box_width),
-            nn.ReLU(inplace=True),
+            nn.ReLU(),  # of a ReLU: kept for the official layer numbering
             _final(box_width, anchors_per_cell * DELTA_COUNT, shape.final_kernel),
         )
         if shape.initial_probability is not None:

@@ -77,7 +77,10 @@ class TrainingDefaults:
             the official code takes them as background.
         claim_without_overlap: an object without any overlap claims every anchor without overlap (official flaw).
         learning_rate, batch_size, gradient_clip_norm: optimiser settings.
-        photometric: strength of colour augmentation, 1 is the official range.
+        disparity_weight, z_weight: of the disparity loss and of the depth term.
+        photometric_first: colour changes before crop and resize (official) or after (the same draws on fewer pixels).
+        matching_disparities, matching_block: of the block matcher that supervises disparity, network pixels.
+        max_truncation, max_occlusion, min_box_height_px: objects beyond teach nothing; height in network pixels.
     """
 
     class_weights: tuple[float, ...]
@@ -90,6 +93,12 @@ class TrainingDefaults:
     claim_without_overlap: bool = False
     disparity_weight: float = 1.0
     z_weight: float = 12.0
+    photometric_first: bool = True
+    matching_disparities: int = 192
+    matching_block: int = 25
+    max_truncation: float = 1.0
+    min_box_height_px: float = 0.0
+    max_occlusion: int = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,6 +176,12 @@ PRESETS: dict[str, Preset] = {
             gradient_clip_norm=5.0,
             frozen_backbone_parts=1,
             ignore_neighbours=True,
+            photometric_first=False,
+            matching_disparities=96,
+            matching_block=15,
+            max_truncation=0.6,
+            min_box_height_px=14.0,
+            max_occlusion=2,
         ),
         anchors=AnchorLayout(base_px=14.0, scales_per_octave=3.0, scale_count=12),
         nms=NmsPolicy(iou=0.4, per_class=True),

@@ -44,7 +44,9 @@ def _parse_rows(lines: Iterable[str], *, where: str, lead: int, with_score: bool
         try:
             rows.append(_Row(body[0], tuple(float(word) for word in body[1:]), int(words[1]) if lead else -1))
         except ValueError as error:
-            raise FormatError(f"{where} line {number} holds {error}, expected numbers after the type; mend the file") from None
+            raise FormatError(
+                f"{where} line {number} holds {error}, expected numbers after the type; mend the file"
+            ) from None
     return rows
 
 
@@ -110,7 +112,9 @@ def _center_from_bottom(bottom: FloatArray, height_m: FloatArray) -> FloatArray:
     return center
 
 
-def parse_detections(text: str, class_names: tuple[str, ...] | None = None, *, where: str = "detections") -> Detections3D:
+def parse_detections(
+    text: str, class_names: tuple[str, ...] | None = None, *, where: str = "detections"
+) -> Detections3D:
     """Read a result file (16 fields a line); an alpha of -10 means that the detector gave none and is kept as it is.
 
     Args:
@@ -152,7 +156,9 @@ def format_detections(detections: Detections3D) -> str:
             height, width, length, x, y + 0.5 * height, z, detections.yaw_rad[row],
         ]  # fmt: skip
         name = detections.class_names[detections.class_id[row]]
-        lines.append(f"{name} -1 -1 " + " ".join(f"{value:.6f}" for value in numbers) + f" {float(detections.score[row])!r} \n")
+        lines.append(
+            f"{name} -1 -1 " + " ".join(f"{value:.6f}" for value in numbers) + f" {float(detections.score[row])!r} \n"
+        )
     return "".join(lines)
 
 

@@ -200,11 +200,15 @@ def open_model_directory(path: Path | str) -> ModelDirectory:
     manifest_path = folder / MANIFEST_FILE
     if not manifest_path.is_file():
         what = "is not a folder" if not folder.is_dir() else f"has no {MANIFEST_FILE}"
-        raise ManifestError(f"{folder} {what}, expected a model directory; make one with `edge export` or `edge quantize`")
+        raise ManifestError(
+            f"{folder} {what}, expected a model directory; make one with `edge export` or `edge quantize`"
+        )
     manifest = parse_manifest(manifest_path.read_text(encoding="utf-8", errors="replace"), where=str(manifest_path))
     for name in (MODEL_FILE, PRIORS_FILE):
         if not (folder / name).is_file():
-            raise ManifestError(f"{folder} has no {name}, expected it beside {MANIFEST_FILE}; export or copy the model again")
+            raise ManifestError(
+                f"{folder} has no {name}, expected it beside {MANIFEST_FILE}; export or copy the model again"
+            )
         found, expected = file_sha256(folder / name), manifest.sha256.get(name, "none")
         if found != expected:
             raise ManifestError(
@@ -228,14 +232,19 @@ def read_priors(path: Path, classes: tuple[str, ...], anchors: AnchorLayout) -> 
                 for part in ("mean", "std"):
                     tables[f"{name}_{part}"] = archive[f"{name}_{part}"].astype(np.float32)
     except KeyError as error:
-        raise ManifestError(f"{path} lacks {error}, expected tables for {', '.join(classes)}; make it with `edge priors`") from None
+        raise ManifestError(
+            f"{path} lacks {error}, expected tables for {', '.join(classes)}; make it with `edge priors`"
+        ) from None
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise ManifestError(f"{path} is not readable as priors ({type(error).__name__}), expected an .npz; make it anew") from None
+        raise ManifestError(
+            f"{path} is not readable as priors ({type(error).__name__}), expected an .npz; make it anew"
+        ) from None
     for name, table in tables.items():
         if table.shape != shape:
             raise ManifestError(f"{path}: {name} has shape {table.shape}, expected {shape}; make it for these anchors")
     return AnchorPriors(
-        np.stack([tables[f"{name}_mean"] for name in classes]), np.stack([tables[f"{name}_std"] for name in classes])
+        np.stack([tables[f"{name}_mean"] for name in classes]),
+        np.stack([tables[f"{name}_std"] for name in classes]),
     )
 
 
@@ -263,7 +272,9 @@ def parse_manifest(text: str, *, where: str = MANIFEST_FILE) -> Manifest:
     try:
         data = json.loads(text)
     except json.JSONDecodeError as error:
-        raise ManifestError(f"{where} is no JSON ({error.msg} at line {error.lineno}), expected a manifest; export again") from None
+        raise ManifestError(
+            f"{where} is no JSON ({error.msg} at line {error.lineno}), expected a manifest; export again"
+        ) from None
     if not isinstance(data, dict):
         raise ManifestError(f"{where} holds a {type(data).__name__}, expected an object; export again")
     version = data.get("schema_version")
@@ -284,7 +295,9 @@ def _build(kind: Any, value: Any, where: str) -> Any:
         known = {item.name: item for item in dataclasses.fields(kind)}
         unknown = sorted(set(value) - set(known))
         if unknown:
-            raise ManifestError(f"{where} has the unknown key {unknown[0]!r}, expected only {', '.join(known)}; export again")
+            raise ManifestError(
+                f"{where} has the unknown key {unknown[0]!r}, expected only {', '.join(known)}; export again"
+            )
         missing = [
             name
             for name, item in known.items()

@@ -148,7 +148,11 @@ class Objects3D(_BoxTable):
     class_names: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        _set_checked(self, {**_BOX_SHAPES, "truncation": (), "occlusion": (), "track_id": ()}, ("class_id", "occlusion", "track_id"))
+        _set_checked(
+            self,
+            {**_BOX_SHAPES, "truncation": (), "occlusion": (), "track_id": ()},
+            ("class_id", "occlusion", "track_id"),
+        )
         _check_classes(self.class_id, self.class_names)
         regions = np.array(self.dont_care_boxes, dtype=np.float64).reshape(-1, 4)
         regions.setflags(write=False)
@@ -177,7 +181,8 @@ def _check_classes(class_id: IntArray, class_names: tuple[str, ...]) -> None:
 
 # Corner signs along (length, height, width), the official order: x_l is width, y_l height, z_l length there.
 _CORNER_SIGNS = np.array(
-    [[-1, -1, -1], [1, -1, -1], [1, 1, -1], [1, 1, 1], [1, -1, 1], [-1, -1, 1], [-1, 1, 1], [-1, 1, -1]], dtype=np.float64
+    [[-1, -1, -1], [1, -1, -1], [1, 1, -1], [1, 1, 1], [1, -1, 1], [-1, -1, 1], [-1, 1, 1], [-1, 1, -1]],
+    dtype=np.float64,
 )
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from runtime.contracts.errors import SourceError
 from runtime.sources import images, kitti_object, kitti_odometry, kitti_raw, kitti_tracking, oak, video
-from runtime.sources.base import Source
+from runtime.sources.base import FrameSequence, Source
 from runtime.sources.uri import COMMON_OPTIONS, SourceOptions, SourceUri, common_options, parse_uri
 
 
@@ -62,3 +62,15 @@ def open_source(uri: str) -> Source:
     if not parsed.target and parsed.scheme != "oak":
         raise SourceError(f"source {uri!r} names nothing after the colon, expected {kind.form}; add it")
     return kind.open(parsed, common_options(parsed))
+
+
+def open_sequence(uri: str) -> FrameSequence:
+    """As `open_source`, for work that needs frames by index: labels, calibration, measuring.
+
+    Raises:
+        SourceError: the source is live.
+    """
+    source = open_source(uri)
+    if not isinstance(source, FrameSequence):
+        raise SourceError(f"source {uri!r} is live, expected recorded frames; give files, for example kitti-object:ROOT")
+    return source

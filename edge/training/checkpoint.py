@@ -1,0 +1,67 @@
+"""Checkpoints that resume a run, written beside their place and renamed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import nn
+
+from runtime.contracts.errors import CheckpointError
+
+CHECKPOINT_FILE = "checkpoint.pt"
+
+
+class AveragedModel:
+    """Exponential moving average of a module's parameters; buffers are copied.
+
+    Args:
+        module: the module to follow.
+        decay: of the average; early steps use a smaller one so that the start is forgotten.
+    """
+
+    def __init__(self, module: nn.Module, decay: float) -> None:
+        self._decay = decay
+        self.state = {name: value.detach().clone() for name, value in module.state_dict().items()}
+
+    def update(self, module: nn.Module, step: int) -> None:
+        """Take in the module's state after a step."""
+        decay = min(self._decay, (1 + step) / (10 + step))
+        for name, value in module.state_dict().items():
+            average = self.state[name]
+            if average.dtype.is_floating_point:
+                average.lerp_(value.detach(), 1 - decay)
+            else:
+                average.copy_(value)
+
+
+def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
+    """Write a checkpoint atomically."""
+    beside = path.with_name(path.name + ".part")
+    torch.save(state, beside)
+    beside.replace(path)
+
+
+def load_checkpoint(path: Path) -> dict[str, Any]:
+    """Read a checkpoint without running anything that it holds.
+
+    Raises:
+        CheckpointError: missing or not a checkpoint of this project.
+    """
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError:
+        raise CheckpointError(
+            f"{path} is not there, expected a run's checkpoint; start the run without --resume"
+        ) from None
+    except Exception as error:
+        raise CheckpointError(
+            f"{path} is no checkpoint ({type(error).__name__}), expected one written by `edge train`; start a new run"
+        ) from None
+    missing = {"model", "average", "optimiser", "step"} - set(state)
+    if missing:
+        raise CheckpointError(
+            f"{path} lacks {', '.join(sorted(missing))}, expected a run's checkpoint; start a new run"
+        )
+    return dict(state)

@@ -1,0 +1,139 @@
+"""The endless, resumable order of training samples.
+
+Position n of a run always is the same frame with the same augmentation, whatever came before: epoch e is a permutation
+drawn from (seed, e), the sample's generator from (seed, n). Resuming is starting at n.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from torch.utils.data import DataLoader, Dataset, Sampler
+
+from edge.training.losses import ImageTargets
+from edge.training.samples import Sample, SampleMaker
+from runtime.contracts.errors import SourceError
+from runtime.sources.base import FrameSequence
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """A batch on its way to the device."""
+
+    left: torch.Tensor
+    right: torch.Tensor
+    disparity: torch.Tensor
+    targets: list[ImageTargets]
+
+    def to(self, device: torch.device) -> Batch:
+        """The same on another device; images channels-last."""
+        move = [
+            ImageTargets(
+                t.label.to(device),
+                t.positive.to(device),
+                t.deltas.to(device),
+                t.facing.to(device),
+                t.object_count,
+            )
+            for t in self.targets
+        ]
+        images = [x.to(device, memory_format=torch.channels_last, non_blocking=True) for x in (self.left, self.right)]
+        return Batch(images[0], images[1], self.disparity.to(device), move)
+
+
+class MixedFrames(Dataset[Sample]):
+    """Frames of several sources, each repeated by its weight, as samples by position.
+
+    Args:
+        sources: labelled stereo sequences.
+        weights: how often an epoch shows each source's frames.
+        maker: frame to sample.
+        seed: of order and augmentation.
+    """
+
+    def __init__(
+        self, sources: Sequence[FrameSequence], weights: Sequence[int], *, maker: SampleMaker, seed: int
+    ) -> None:
+        self._sources = list(sources)
+        self._maker = maker
+        self._seed = seed
+        rows = [
+            (index, row)
+            for index, (source, weight) in enumerate(zip(sources, weights, strict=True))
+            for _ in range(weight)
+            for row in range(len(source))
+            if source.labels(row) is not None
+        ]
+        if not rows:
+            raise SourceError("the datasets hold no labelled frame, expected at least one; give a source with labels")
+        self._rows = np.array(rows)
+        self._epoch: tuple[int, np.ndarray] = (-1, np.zeros(0, int))
+
+    @property
+    def epoch_length(self) -> int:
+        """Samples an epoch."""
+        return len(self._rows)
+
+    def __getitem__(self, position: int) -> Sample:
+        """The sample at a position of the run."""
+        epoch, offset = divmod(position, len(self._rows))
+        if self._epoch[0] != epoch:
+            order = np.random.default_rng([self._seed, epoch]).permutation(len(self._rows))
+            self._epoch = (epoch, order)
+        source_index, row = self._rows[self._epoch[1][offset]]
+        source = self._sources[source_index]
+        objects = source.labels(int(row))
+        assert objects is not None
+        draws = np.random.RandomState(np.random.default_rng([self._seed, position]).integers(2**31))
+        return self._maker.make(source[int(row)], objects, draws)
+
+
+class _Positions(Sampler[int]):
+    def __init__(self, first: int, last: int) -> None:
+        self._range = range(first, last)
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._range)
+
+    def __len__(self) -> int:
+        return len(self._range)
+
+
+def batches(
+    frames: MixedFrames, *, first_step: int, last_step: int, batch_size: int, workers: int
+) -> DataLoader[Sample]:
+    """Batches for steps ``first_step`` .. ``last_step - 1``."""
+    return DataLoader(
+        frames,
+        batch_size=batch_size,
+        sampler=_Positions(first_step * batch_size, last_step * batch_size),
+        num_workers=workers,
+        collate_fn=collate,
+        worker_init_fn=_single_threaded,
+        prefetch_factor=4 if workers else None,
+    )
+
+
+def collate(samples: list[Sample]) -> Batch:  # type: ignore[type-arg]
+    """Samples to one batch."""
+    targets = [
+        ImageTargets(
+            label=torch.from_numpy(s.targets.label),
+            positive=torch.from_numpy(s.targets.positive),
+            deltas=torch.from_numpy(s.targets.deltas),
+            facing=torch.from_numpy(s.targets.facing),
+            object_count=s.targets.object_count,
+        )
+        for s in samples
+    ]
+    stack = [torch.from_numpy(np.stack([getattr(s, name) for s in samples])) for name in ("left", "right", "disparity")]
+    return Batch(stack[0], stack[1], stack[2], targets)
+
+
+def _single_threaded(_: int) -> None:
+    cv2.setNumThreads(0)
+    torch.set_num_threads(1)
