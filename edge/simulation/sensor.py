@@ -1,8 +1,8 @@
 """From linear radiance to the 8-bit picture of a real camera: metering, lens, noise, tone curve.
 
-The spread of the drawn values was set by eye and by simple statistics against pictures of street drives: mean level
-near 95, a tenth of the pixels darker than 18, several per cent of a picture blown out, views of a pair that differ by a
-few levels.
+The spread of the drawn values was set by eye and by simple statistics of street pictures: mean level near 95,
+a tenth of the pixels darker than 18, several per cent of a picture blown out, views of a pair that differ by
+a few levels.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class SensorModel:
 
     gain_rgb: tuple[float, float, float] = (1.0, 1.0, 1.0)
     mean_level: float = 95.0
-    gamma: float = 1.9
+    gamma: float = 1.6
     knee: float = 0.85
     black_level: float = 3.0
     saturation: float = 1.05
@@ -74,7 +74,7 @@ def draw_sensor(rng: np.random.Generator) -> StereoSensor:
     shared = SensorModel(
         gain_rgb=(float(np.exp(warmth)), float(np.exp(tint)), float(np.exp(-warmth))),
         mean_level=float(np.clip(rng.normal(97.0, 13.0), 70.0, 130.0)),
-        gamma=float(rng.uniform(1.55, 2.3)),
+        gamma=float(rng.uniform(1.2, 2.0)),
         knee=float(rng.uniform(0.65, 0.95)),
         black_level=float(rng.uniform(0.0, 6.0)),
         saturation=float(rng.uniform(0.85, 1.3)),
@@ -174,10 +174,10 @@ def _curve_index(signal: NDArray[np.float32]) -> NDArray[np.uint16]:
 
 @lru_cache(maxsize=64)
 def _tone_curve(gamma: float, knee: float, black_level: float) -> NDArray[np.uint8]:
-    """(steps,) uint8: straight up to the knee, then a shoulder that reaches full scale at full well, then gamma."""
+    """(steps,) uint8: straight to the knee, a shoulder that meets full scale at full well, then gamma."""
     signal = np.linspace(0.0, 1.0, _CURVE_STEPS) ** 2
     reach = 1.0 - knee
-    # twice the slope of the shoulder's start decays to none at full well: s + s**2 / 2 - s**3 / 2 keeps both ends
+    # s + s**2 / 2 - s**3 / 2 meets both ends, with slope 1 at the knee and a gentle half at full well
     over = np.clip((signal - knee) / reach, 0.0, 1.0)
     shaped = np.where(signal > knee, knee + reach * (over + 0.5 * over**2 * (1.0 - over)), signal)
     levels = black_level + (255.0 - black_level) * shaped ** (1.0 / gamma)

@@ -52,7 +52,7 @@ def _cell_edges(rng: np.random.Generator, *, size: int) -> NDArray[np.float64]:
 
 
 def _flattened(values: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Map to uint8 so that all levels are equally frequent: thresholds in shaders then mean shares of area."""
+    """Map to uint8 with all levels equally frequent: thresholds in shaders are then shares of area."""
     ranks = np.empty(values.size, np.int64)
     ranks[np.argsort(values, axis=None, kind="stable")] = np.arange(values.size)
     return (ranks * 256 // values.size).astype(np.uint8).reshape(values.shape)

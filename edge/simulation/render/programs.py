@@ -49,7 +49,7 @@ class Programs:
         }
         self.noise = context.texture((NOISE_SIZE, NOISE_SIZE), 4, noise_tile().tobytes())
         self.noise.build_mipmaps()
-        self.noise.filter = (context.LINEAR_MIPMAP_LINEAR, context.LINEAR)
+        self.noise.filter = (context.LINEAR_MIPMAP_NEAREST, context.LINEAR)
         self.set_all(u_noise=NOISE_UNIT, u_shadow=SHADOW_UNIT, u_cover=COVER_UNIT)
 
     def __getitem__(self, name: str) -> Any:

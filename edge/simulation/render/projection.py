@@ -65,10 +65,10 @@ def rays_from_clip(camera: PinholeCamera) -> Matrix:
 def shadow_clip_from_world(
     camera: PinholeCamera, towards_sun: Matrix, *, origin: Matrix, texels: int
 ) -> Matrix:
-    """(4, 4) orthographic clip matrix of the sun's view of the road ahead, for points relative to ``origin``.
+    """(4, 4) orthographic clip matrix of the sun's view of the road ahead, for points relative to origin.
 
-    The covered block reaches from `SHADOW_BEHIND_M` behind to `SHADOW_AHEAD_M` ahead of the camera. Its corner
-    is snapped to whole texels of the world, so shadow edges keep still while the camera moves straight on.
+    The covered block reaches from `SHADOW_BEHIND_M` behind to `SHADOW_AHEAD_M` ahead of the camera. Its
+    corner is snapped to whole texels of the world, so shadow edges keep still while the camera moves on.
     """
     down_the_light = -np.asarray(towards_sun, float) / np.linalg.norm(towards_sun)
     heading = camera.camera_from_world[2, :3] * np.array([1.0, 0.0, 1.0])
@@ -142,7 +142,7 @@ def cover_matrices(camera: PinholeCamera, origin: Matrix) -> tuple[Matrix, Matri
 def window_of_spheres(
     clip: Matrix, centres: Matrix, *, radii_m: Matrix, size_wh: tuple[int, int]
 ) -> tuple[int, int, int, int] | None:
-    """A pixel window [x0, x1) x [y0, y1) that holds all spheres drawn with ``clip``; None if they are unseen."""
+    """Pixel window [x0, x1) x [y0, y1) that holds all spheres drawn with ``clip``; None: all unseen."""
     seen = spheres_inside(clip, centres, radii_m)
     if not seen.any():
         return None

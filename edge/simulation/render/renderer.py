@@ -1,9 +1,8 @@
-"""Draws scenes: shadow and cover maps first, then identity (exact) and colour (antialiased) for each camera."""
+"""Draws scenes: shadow and cover maps, then identity (exact) and colour (antialiased) for each camera."""
 
 from __future__ import annotations
 
 from types import TracebackType
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +26,10 @@ from runtime.contracts.errors import FrameError
 
 COVER_LIMIT_M = 2.2  # what stands higher shades the ground no more than this would
 _OVERCAST_SUN_SHARE = 0.06
+_AIR_SHARE = 0.8  # of the horizon's radiance, in haze
+_DOME_SHARE = 0.75  # streets see less than the whole sky
+_GROUND_ALBEDO = 0.08
+_LUMINANCE = np.array([0.25, 0.6, 0.15])
 
 
 class Renderer:
@@ -118,7 +121,7 @@ class Renderer:
         identity = self._identity_of(scene, camera, placed=placed, clip=clip)
         counts = np.bincount(identity.ravel(), minlength=max([0, *object_ids]) + 1)
         totals = self._totals(placed, clip, set(object_ids) - {BACKGROUND_ID})
-        # drawn alone, a pixel on the very outline may round the other way: never claim more seen than there is
+        # drawn alone, a pixel on the outline may round the other way: never claim more seen than there is
         return {id_: (int(counts[id_]), max(totals.get(id_, 0), int(counts[id_]))) for id_ in object_ids}
 
     def _check(self, camera: PinholeCamera) -> None:
@@ -155,6 +158,12 @@ class Renderer:
         towards_sun = np.asarray(light.towards_sun, float) / np.linalg.norm(light.towards_sun)
         overcast = float(np.clip((light.cloud_cover - 0.35) / 0.65, 0.0, 1.0))
         share = (1.0 - overcast) ** 1.5 * (1.0 - _OVERCAST_SUN_SHARE) + _OVERCAST_SUN_SHARE
+        share = share if towards_sun[1] < 0.0 else 0.0
+        sun, zenith = np.array(light.sun_rgb), np.array(light.sky_zenith_rgb)
+        horizon = np.array(light.sky_horizon_rgb)
+        grey = (horizon @ _LUMINANCE) * np.array([0.85, 0.87, 0.9])
+        dome = (0.45 * horizon + 0.55 * zenith) * (1.0 - overcast) + grey * overcast
+        ground_light = sun * share * max(-towards_sun[1], 0.0) + dome
         rng = np.random.default_rng(scene.seed)
         self._programs.set_all(
             u_sun=towards_sun,
@@ -164,7 +173,10 @@ class Renderer:
             u_cloud_cover=float(light.cloud_cover),
             u_haze_per_m=float(light.haze_per_m),
             u_exposure=float(light.exposure),
-            u_sun_share=share if towards_sun[1] < 0.0 else 0.0,
+            u_sun_share=share,
+            u_air=(horizon * (1.0 - overcast) + grey * overcast) * _AIR_SHARE,
+            u_dome=dome * _DOME_SHARE,
+            u_bounce=ground_light * _GROUND_ALBEDO,
             u_shadow_texel=1.0 / SHADOW_TEXELS,
             u_shadow_spread=0.8 + 3.0 * overcast,
             u_sky_shift=tuple(rng.uniform(0.0, 50.0, 2)),

@@ -1,7 +1,8 @@
 """GLSL shared by all programs: vertex stages, noise lookups, sky, light and haze.
 
-Texture is looked up by model position and the instance's seed, never by screen position, so left and right see
-the same marks. The level of detail follows from distance alone (no screen derivatives), for the same reason.
+Texture is looked up by model position and the instance's seed, never by screen position, so left and right
+see the same marks. The level of detail follows from distance alone (no screen derivatives), for the same
+reason. Texture taps are what a CPU rasteriser pays most for: each lookup serves all four noise channels.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ void main() {
     vec3 r0 = in_row0.xyz, r1 = in_row1.xyz, r2 = in_row2.xyz;
     vec3 c0 = cross(r1, r2);
     float handed = dot(r0, c0) < 0.0 ? -1.0 : 1.0;
-    v_normal = handed * vec3(dot(c0, in_normal), dot(cross(r2, r0), in_normal), dot(cross(r0, r1), in_normal));
+    vec3 c1 = cross(r2, r0), c2 = cross(r0, r1);   // cofactors: normals under uneven scale
+    v_normal = handed * vec3(dot(c0, in_normal), dot(c1, in_normal), dot(c2, in_normal));
     v_material = int(in_material + 0.5);
     bool tinted = v_material == 1 || v_material == 12;
     v_colour = tinted ? in_colour * in_tint_seed.xyz : in_colour;
@@ -56,8 +58,11 @@ NOISE = """
 uniform sampler2D u_noise;
 uniform float u_metres_per_pixel_at_1m;
 const float NOISE_TEXELS = 512.0;
-float hash1(float x) { return fract(sin(x * 12.9898 + 4.1414) * 43758.5453); }
-float hash2(vec2 p) { p = fract(p * vec2(0.1031, 0.1030) + 0.37); p += dot(p, p.yx + 33.33); return fract((p.x + p.y) * p.y * 7.31); }
+float hash2(vec2 p) {
+    p = fract(p * vec2(0.1031, 0.1030) + 0.37);
+    p += dot(p, p.yx + 33.33);
+    return fract((p.x + p.y) * p.y * 7.31);
+}
 vec2 seeded(float seed) { return vec2(fract(seed * 0.61803399), fract(seed * 0.75487767 + 0.3)) * 61.0; }
 // texture of a tile that spans `metres`, at a surface seen with `footprint` metres a pixel
 vec4 noise(vec2 p, float metres, float footprint) {
@@ -72,14 +77,18 @@ vec2 planar(vec3 p, vec3 n) {
 """
 
 FOLIAGE_COVER = """
-// 0..1: how much of the leaf layer covers this spot
-float leaf_cover(vec3 p, float seed, float footprint) {
+struct Leaves { vec4 fine; vec4 clump; float cover; };
+// cover 0..1: how much of the leaf layer covers this spot
+Leaves leaves_at(vec3 p, float seed, float footprint) {
     vec2 s = seeded(seed);
-    float a = noise(p.xy + p.zz * 0.37 + s, 2.3, footprint).a;
-    float b = noise(p.zy + p.xx * 0.29 - s, 5.1, footprint).r;
-    float edge = a * 0.65 + b * 0.35;
-    float soft = clamp(footprint * 2.5, 0.04, 0.5);
-    return mix(smoothstep(0.27 - soft, 0.27 + soft, edge), 0.86, smoothstep(0.05, 0.3, footprint));
+    Leaves l;
+    l.fine = noise(p.xy + p.zz * vec2(0.37, 0.61) + s, 1.7, footprint);
+    l.clump = noise(p.zy + p.xx * vec2(0.29, -0.53) - s, 4.3, footprint);
+    float edge = l.fine.a * 0.45 + l.clump.a * 0.25 + l.clump.r * 0.30;
+    float soft = clamp(footprint * 1.5, 0.03, 0.4);
+    float cut = smoothstep(0.33 - soft, 0.33 + soft, edge);
+    l.cover = mix(cut, 0.86, smoothstep(0.08, 0.35, footprint));
+    return l;
 }
 """
 
@@ -105,11 +114,12 @@ vec3 sun_glow(vec3 d) {
     float c64 = c8 * c8; c64 *= c64; c64 *= c64;
     return u_sun_rgb * (0.05 * c8 + 0.22 * c64) * (0.35 + 0.65 * u_sun_share);
 }
+uniform vec3 u_air;   // the sky low over the horizon
 vec3 with_haze(vec3 radiance, vec3 direction, float distance_m) {
     float through = exp2(-1.4427 * u_haze_per_m * distance_m);
-    vec3 flat_direction = vec3(direction.x, min(direction.y, -0.03), direction.z);
-    vec3 air = sky_gradient(flat_direction) * 0.85 + sun_glow(direction) * 0.6;
-    return mix(air, radiance, through);
+    float c = max(dot(direction, u_sun), 0.0);
+    c *= c; c *= c;
+    return mix(u_air + u_sun_rgb * (0.05 * c * u_sun_share), radiance, through);
 }
 """
 
@@ -125,23 +135,23 @@ float sun_visibility(vec3 world, vec3 n) {
     vec3 q = p.xyz * 0.5 + 0.5;
     q.z -= 0.0004;
     float r = u_shadow_texel * u_shadow_spread;
-    float lit = texture(u_shadow, q + vec3(-r, -0.4 * r, 0.0)) + texture(u_shadow, q + vec3(0.4 * r, -r, 0.0))
-              + texture(u_shadow, q + vec3(r, 0.4 * r, 0.0)) + texture(u_shadow, q + vec3(-0.4 * r, r, 0.0));
-    vec2 inside = smoothstep(vec2(0.5), vec2(0.46), abs(q.xy - 0.5));
-    return mix(1.0, lit * 0.25, inside.x * inside.y);
+    float lit = texture(u_shadow, q + vec3(-r, -0.4 * r, 0.0)) + texture(u_shadow, q + vec3(r, 0.4 * r, 0.0));
+    vec2 inside = clamp((0.5 - abs(q.xy - 0.5)) * 25.0, 0.0, 1.0);
+    return mix(1.0, lit * 0.5, inside.x * inside.y);
 }
 // share of the sky that a spot sees: less beneath and beside what stands near
 float sky_visibility(vec3 world, vec3 n) {
     vec3 q = (u_cover_from_world * vec4(world + n * 0.25, 1.0)).xyz;
     vec2 uv = q.xy * 0.5 + 0.5;
-    float above = clamp(textureLod(u_cover, uv, 1.0).r - q.z, 0.0, 1.6) + clamp(textureLod(u_cover, uv, 3.0).r - q.z, 0.0, 2.5);
-    vec2 inside = smoothstep(vec2(1.0), vec2(0.9), abs(q.xy));
-    return mix(1.0, 1.0 / (1.0 + 0.75 * above), inside.x * inside.y);
+    float above = clamp(textureLod(u_cover, uv, 2.0).r - q.z, 0.0, 2.5);
+    vec2 inside = clamp((1.0 - abs(q.xy)) * 10.0, 0.0, 1.0);
+    return mix(1.0, 1.0 / (1.0 + 1.3 * above), inside.x * inside.y);
 }
+uniform vec3 u_bounce;   // light from below
+uniform vec3 u_dome;     // light from above, without the sun
 vec3 sky_light(vec3 n) {
     float up = 0.5 - 0.5 * n.y;
-    vec3 bounce = (u_sun_rgb * u_sun_share * max(-u_sun.y, 0.0) + u_horizon) * vec3(0.10, 0.10, 0.085);
-    return mix(bounce, mix(u_horizon, u_zenith, 0.55) * (0.75 + 0.25 * u_cloud_cover), up);
+    return mix(u_bounce, u_dome, up);
 }
 """
 
@@ -212,7 +222,8 @@ void main() {
     float edge = 0.86 - 0.78 * u_cloud_cover;
     float cloud = smoothstep(edge - 0.10, edge + 0.20, body) * smoothstep(0.0, 0.10, up);
     float luminance = dot(u_horizon, vec3(0.25, 0.6, 0.15));
-    vec3 white = luminance * (vec3(1.25, 1.24, 1.22) - vec3(0.6, 0.57, 0.52) * smoothstep(0.3, 1.0, lit_side) * (0.5 + 0.5 * u_cloud_cover));
+    float shade = smoothstep(0.3, 1.0, lit_side) * (0.5 + 0.5 * u_cloud_cover);
+    vec3 white = luminance * (vec3(1.25, 1.24, 1.22) - vec3(0.6, 0.57, 0.52) * shade);
     radiance = mix(radiance, white, cloud * (0.85 - 0.25 * smoothstep(0.7, 1.0, u_cloud_cover)));
     radiance += sun_glow(d) * (1.0 - 0.6 * cloud);
     float disc = smoothstep(0.99990, 0.99996, dot(d, u_sun));
@@ -282,5 +293,5 @@ def solid(fragment: str) -> str:
 def leafy(fragment: str, footprint: str) -> str:
     """The same with holes between leaves; ``footprint`` is a GLSL expression in metres a pixel."""
     inputs = LEAF_INPUTS + ("" if "in vec3 v_world" in fragment else "in vec3 v_world;\n")
-    cut = f"if (leaf_cover(v_model, v_seed, {footprint}) < 0.5) discard;"
+    cut = f"if (leaves_at(v_model, v_seed, {footprint}).cover < 0.5) discard;"
     return VERSION + NOISE + FOLIAGE_COVER + inputs + fragment.replace("CUT", cut)
