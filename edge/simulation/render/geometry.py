@@ -74,6 +74,9 @@ class GeometryCache:
         self._uploaded: dict[int, UploadedMesh] = {}
         self._frame = 0
 
+    def __len__(self) -> int:
+        return len(self._uploaded)
+
     def place(self, scene: Scene, origin: NDArray[np.float64]) -> list[PlacedMesh]:
         """Upload what is new, forget what is stale, and gather instances by mesh."""
         self._frame += 1

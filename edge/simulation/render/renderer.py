@@ -33,7 +33,10 @@ _LUMINANCE = np.array([0.25, 0.6, 0.15])
 
 
 class Renderer:
-    """Holds an OpenGL context and what was uploaded to it; use as a context manager, from one thread."""
+    """Holds an OpenGL context and what was uploaded to it; use as a context manager, from one thread.
+
+    Several renderers may be open at once: each call makes its own context current while it runs.
+    """
 
     def __init__(self, size_wh: tuple[int, int]) -> None:
         """Open the context.
@@ -69,11 +72,12 @@ class Renderer:
 
     def close(self) -> None:
         """Free everything; the renderer cannot be used afterwards."""
-        self._cache.release()
-        self._sky.release()
-        self._sky_corners.release()
-        self._targets.release()
-        self._programs.release()
+        with self._context:
+            self._cache.release()
+            self._sky.release()
+            self._sky_corners.release()
+            self._targets.release()
+            self._programs.release()
         self._context.release()
 
     @property
@@ -81,13 +85,19 @@ class Renderer:
         """What draws: a GPU's name, or Mesa's software rasteriser."""
         return str(self._context.info["GL_RENDERER"])
 
+    @property
+    def uploaded_mesh_count(self) -> int:
+        """How many meshes are held in GPU memory at present."""
+        return len(self._cache)
+
     def render(self, scene: Scene, camera: PinholeCamera) -> RenderedView:
         """Draw one view.
 
         Raises:
             FrameError: the camera's size is not the renderer's.
         """
-        return self._render_views(scene, (camera,))[0]
+        with self._context:
+            return self._render_views(scene, (camera,))[0]
 
     def render_pair(
         self, scene: Scene, left_camera: PinholeCamera, right_camera: PinholeCamera
@@ -97,7 +107,8 @@ class Renderer:
         Raises:
             FrameError: a camera's size is not the renderer's.
         """
-        left, right = self._render_views(scene, (left_camera, right_camera))
+        with self._context:
+            left, right = self._render_views(scene, (left_camera, right_camera))
         return left, right
 
     def visible_and_total_pixels(
@@ -116,11 +127,12 @@ class Renderer:
         """
         self._check(camera)
         origin = projection.camera_position(camera)
-        placed = self._cache.place(scene, origin)
         clip = projection.clip_from_world(camera, origin)
-        identity = self._identity_of(scene, camera, placed=placed, clip=clip)
+        with self._context:
+            placed = self._cache.place(scene, origin)
+            identity = self._identity_of(scene, camera, placed=placed, clip=clip)
+            totals = self._totals(placed, clip, set(object_ids) - {BACKGROUND_ID})
         counts = np.bincount(identity.ravel(), minlength=max([0, *object_ids]) + 1)
-        totals = self._totals(placed, clip, set(object_ids) - {BACKGROUND_ID})
         # drawn alone, a pixel on the outline may round the other way: never claim more seen than there is
         return {id_: (int(counts[id_]), max(totals.get(id_, 0), int(counts[id_]))) for id_ in object_ids}
 
