@@ -80,9 +80,7 @@ class Session:
         notice: one line where the library was wanted and the function body serves instead, else None.
     """
 
-    def __init__(
-        self, session: ort.InferenceSession, *, name: str, native_loaded: bool, notice: str | None
-    ) -> None:
+    def __init__(self, session: ort.InferenceSession, *, name: str, native_loaded: bool, notice: str | None) -> None:
         """Wraps a session that ``open_session`` made."""
         self._session: ort.InferenceSession | None = session
         self._name = name
@@ -145,9 +143,7 @@ class Session:
 
     def _open(self) -> ort.InferenceSession:
         if self._session is None:
-            raise SessionError(
-                f"{self._name}: found a closed session; expected an open one; run inside its with block"
-            )
+            raise SessionError(f"{self._name}: found a closed session; expected an open one; run inside its with block")
         return self._session
 
 
@@ -179,9 +175,7 @@ def open_session(
     label = name or ("model" if isinstance(model, bytes) else str(model))
     source: str | bytes = model if isinstance(model, bytes) else str(model)
     if isinstance(source, str) and not Path(source).is_file():
-        raise SessionError(
-            f"{label}: found no such file; expected an ONNX model; check the path or export one"
-        )
+        raise SessionError(f"{label}: found no such file; expected an ONNX model; check the path or export one")
 
     options = _options(threads=threads, profile=profile, optimize=optimize)
     native_loaded, notice = False, None
@@ -245,9 +239,7 @@ def _has_custom_nodes(source: str | bytes) -> bool:
 def _check_feeds(name: str, feeds: Mapping[str, Array], inputs: tuple[TensorInfo, ...]) -> None:
     expected = {item.name: item for item in inputs}
     if feeds.keys() != expected.keys():
-        raise SessionError(
-            f"{name}: found inputs {sorted(feeds)}; expected {sorted(expected)}; feed exactly these"
-        )
+        raise SessionError(f"{name}: found inputs {sorted(feeds)}; expected {sorted(expected)}; feed exactly these")
     for key, item in expected.items():
         array = feeds[key]
         fits = len(array.shape) == len(item.shape) and all(

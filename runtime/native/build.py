@@ -60,14 +60,10 @@ def find_compiler() -> list[str]:
     for name in ("c++", "g++", "clang++"):
         if path := shutil.which(name):
             return [path]
-    raise BuildError(
-        f"found no C++ compiler; expected c++, g++ or clang++ (or CXX); install one, else {HINT}"
-    )
+    raise BuildError(f"found no C++ compiler; expected c++, g++ or clang++ (or CXX); install one, else {HINT}")
 
 
-def compile_objects(
-    compiler: Sequence[str], sources: Sequence[Path], out: Path, *, flags: Sequence[str]
-) -> list[Path]:
+def compile_objects(compiler: Sequence[str], sources: Sequence[Path], out: Path, *, flags: Sequence[str]) -> list[Path]:
     """Compiles sources side by side, one process each.
 
     Args:
@@ -85,8 +81,7 @@ def compile_objects(
         for source, target in zip(sources, objects, strict=True)
     ]
     running = [
-        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-        for command in commands
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) for command in commands
     ]
     outputs = [process.communicate()[0] for process in running]
     for source, process, output in zip(sources, running, outputs, strict=True):

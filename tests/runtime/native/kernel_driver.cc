@@ -1,0 +1,137 @@
+// Runs every kernel that this machine has over awkward sizes, on buffers of exactly the needed size, so
+// that the address and undefined-behaviour sanitizers see any step beside them; compares with plain loops.
+#include "correlation.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <limits>
+#include <random>
+#include <vector>
+
+namespace {
+
+using edge::Kernels;
+using edge::QuantizedOutput;
+using edge::QuantizedView;
+using edge::Shape;
+
+constexpr float kFloatTolerance = 2e-6f;
+constexpr int64_t kRowsAtOnce = 2;
+
+const Shape kShapes[] = {
+    {1, 1, 1, 1, 1},     // the least
+    {1, 1, 2, 1, 5},     // one column
+    {2, 1, 3, 5, 7},     // W < D
+    {1, 13, 2, 7, 7},    // W = D
+    {1, 13, 2, 16, 24},  // one vector of columns, W < D
+    {3, 13, 5, 37, 24},  // W no multiple of any vector
+    {2, 64, 3, 33, 47},  // D no multiple of any tile
+    {1, 2, 1, 130, 13},
+};
+
+int64_t Left(const Shape& s, int64_t b, int64_t c, int64_t y, int64_t x) {
+  return ((b * s.channels + c) * s.height + y) * s.width + x;
+}
+
+// Calls visit(index in volume, sum over channels of term(left index, right index)).
+template <class Sum, class Term, class Visit>
+void ForVolume(const Shape& s, const Term& term, const Visit& visit) {
+  int64_t index = 0;
+  for (int64_t b = 0; b < s.batch; ++b)
+    for (int64_t d = 0; d < s.disparities; ++d)
+      for (int64_t y = 0; y < s.height; ++y)
+        for (int64_t x = 0; x < s.width; ++x, ++index) {
+          Sum sum = 0;
+          for (int64_t c = 0; x >= d && c < s.channels; ++c) {
+            sum += term(Left(s, b, c, y, x), Left(s, b, c, y, x - d));
+          }
+          visit(index, sum);
+        }
+}
+
+template <class Rows>
+void InPieces(const Shape& s, const Rows& rows) {
+  for (int64_t row = 0; row < s.batch * s.height; row += kRowsAtOnce) {
+    const int64_t end = std::min(row + kRowsAtOnce, s.batch * s.height);
+    void* scratch = std::aligned_alloc(edge::kScratchAlignment, edge::ScratchBytes(s));
+    rows(row, end, scratch);
+    std::free(scratch);
+  }
+}
+
+int CheckFloat(const Kernels& kernels, const Shape& s, std::mt19937& random) {
+  const size_t inputs = static_cast<size_t>(s.batch * s.channels * s.height * s.width);
+  std::vector<float> left(inputs), right(inputs);
+  std::normal_distribution<float> normal;
+  for (float& value : left) value = normal(random);
+  for (float& value : right) value = normal(random);
+  std::vector<float> volume(static_cast<size_t>(s.batch * s.disparities * s.height * s.width),
+                            std::numeric_limits<float>::quiet_NaN());
+  InPieces(s, [&](int64_t first, int64_t last, void* scratch) {
+    kernels.float_rows(left.data(), right.data(), volume.data(), s, first, last, scratch);
+  });
+  int wrong = 0;
+  ForVolume<double>(
+      s, [&](int64_t l, int64_t r) { return static_cast<double>(left[l]) * right[r]; },
+      [&](int64_t index, double sum) {
+        const double expected = sum / static_cast<double>(s.channels);
+        wrong += !(std::fabs(volume[index] - expected) <= kFloatTolerance);
+      });
+  return wrong;
+}
+
+template <class Byte>
+int CheckQuantized(const Kernels& kernels, const Shape& s, std::mt19937& random) {
+  using Limits = std::numeric_limits<Byte>;
+  const size_t inputs = static_cast<size_t>(s.batch * s.channels * s.height * s.width);
+  std::vector<Byte> left(inputs), right(inputs);
+  std::uniform_int_distribution<int> bytes(Limits::min(), Limits::max());
+  for (Byte& value : left) value = static_cast<Byte>(bytes(random));
+  for (Byte& value : right) value = static_cast<Byte>(bytes(random));
+  std::vector<Byte> volume(static_cast<size_t>(s.batch * s.disparities * s.height * s.width));
+  const bool is_signed = Limits::is_signed;
+  const int zero_left = bytes(random), zero_right = bytes(random), zero_out = bytes(random);
+  const float multiplier = 0.013f / static_cast<float>(s.channels);
+  const QuantizedView left_view = {left.data(), zero_left, is_signed};
+  const QuantizedView right_view = {right.data(), zero_right, is_signed};
+  const QuantizedOutput out = {volume.data(), zero_out, is_signed, multiplier};
+  InPieces(s, [&](int64_t first, int64_t last, void* scratch) {
+    kernels.quantized_rows(left_view, right_view, out, s, first, last, scratch);
+  });
+  int wrong = 0;
+  ForVolume<int32_t>(
+      s, [&](int64_t l, int64_t r) { return (left[l] - zero_left) * (right[r] - zero_right); },
+      [&](int64_t index, int32_t sum) {
+        const float rounded = std::nearbyint(static_cast<float>(sum) * multiplier);
+        const float value = rounded + static_cast<float>(zero_out);
+        const float low = Limits::min(), high = Limits::max();
+        wrong += volume[index] != static_cast<Byte>(std::min(std::max(value, low), high));
+      });
+  return wrong;
+}
+
+}  // namespace
+
+int main() {
+  std::mt19937 random(1);
+  int wrong = 0;
+  for (const char* name : {"scalar", "avx2", "avx512", "vnni"}) {
+    const Kernels* kernels = edge::SelectKernels(name);
+    if (kernels == nullptr) {
+      std::printf("%s: not on this machine\n", name);
+      continue;
+    }
+    int here = 0;
+    for (const Shape& shape : kShapes) {
+      here += CheckFloat(*kernels, shape, random);
+      here += CheckQuantized<uint8_t>(*kernels, shape, random);
+      here += CheckQuantized<int8_t>(*kernels, shape, random);
+    }
+    std::printf("%s: %d wrong\n", name, here);
+    wrong += here;
+  }
+  if (edge::SelectKernels("mmx") != nullptr || edge::SelectKernels(nullptr) == nullptr) ++wrong;
+  return wrong == 0 ? 0 : 1;
+}
