@@ -17,9 +17,7 @@ from numpy.typing import NDArray
 
 from runtime.contracts.errors import FrameError
 
-_CURVE_STEPS = (
-    4096  # entries of the tone curve's table, over the square root of [0, 1]: dark levels get enough
-)
+_CURVE_STEPS = 4096  # entries of the tone curve's table, over the square root of [0, 1]: dark levels get enough
 _NOISE_STEPS = 4096  # levels of the noise, equally likely
 _FULL_WELL = 1.0
 _METER_STRIDE = 6
@@ -96,7 +94,10 @@ def meter(radiance: NDArray[np.float32], sensor: SensorModel) -> float:
         radiance: (H, W, 3) float32 linear RGB.
     """
     _check(radiance)
-    luminance = radiance[::_METER_STRIDE, ::_METER_STRIDE] @ _LUMINANCE_RGB
+    sampled = slice(_METER_STRIDE // 2, None, _METER_STRIDE)
+    if min(radiance.shape[:2]) <= _METER_STRIDE:
+        sampled = slice(None)
+    luminance = radiance[sampled, sampled] @ _LUMINANCE_RGB
     curve = _tone_curve(sensor.gamma, sensor.knee, sensor.black_level).astype(np.float64)
     low, high = np.log(_GAIN_LIMITS[0]), np.log(_GAIN_LIMITS[1])
     for _ in range(2 * _METER_ROUNDS):
