@@ -83,8 +83,7 @@ def agreement(
     """
     if len(reference) != len(other):
         raise FormatError(
-            f"the models ran on {len(reference)} and {len(other)} frames, expected the same; "
-            "run both on one source"
+            f"the models ran on {len(reference)} and {len(other)} frames, expected the same; run both on one source"
         )
     counts = np.zeros(3, dtype=np.int64)
     distances, errors = [np.zeros(0)], [np.zeros(0)]

@@ -38,9 +38,7 @@ def average_precision(record: MatchRecord, weights: IntArray) -> AveragePrecisio
         weights: (D, F) how often each frame counts; one row a draw.
     """
     chunk = max(1, _CHUNK_ELEMENTS // max(len(record.event_score), 1))
-    parts = [
-        precision_curves(record, weights[start : start + chunk]) for start in range(0, len(weights), chunk)
-    ]
+    parts = [precision_curves(record, weights[start : start + chunk]) for start in range(0, len(weights), chunk)]
     precision = np.concatenate([part[0] for part in parts]) if parts else np.zeros((0, RECALL_POINTS))
     similarity = np.concatenate([part[1] for part in parts]) if parts else np.zeros((0, RECALL_POINTS))
     return AveragePrecision(_r40(precision), _r11(precision), _r40(similarity), _r11(similarity))
@@ -98,9 +96,7 @@ def recall_hits(record: MatchRecord, weights: IntArray) -> tuple[IntArray, np.nd
     copies = np.cumsum(hit_weights, axis=1)
     total_hits = copies[:, -1:]
     objects = np.maximum(weights @ record.objects, 1)[:, None]
-    wanted = np.concatenate([[0.0], np.cumsum(np.full(RECALL_POINTS - 1, 1.0 / (RECALL_POINTS - 1)))])[
-        None, :
-    ]
+    wanted = np.concatenate([[0.0], np.cumsum(np.full(RECALL_POINTS - 1, 1.0 / (RECALL_POINTS - 1)))])[None, :]
     first = np.maximum(np.floor(objects * wanted - 1.5).astype(np.int64) - 1, 0)
     for _ in range(3):
         passed = ((first + 2) / objects - wanted) < (wanted - (first + 1) / objects)
@@ -114,8 +110,6 @@ def recall_hits(record: MatchRecord, weights: IntArray) -> tuple[IntArray, np.nd
     # numbers.
     stride = int(copies[:, -1].max()) + 1
     lift = stride * np.arange(len(weights))[:, None]
-    found = np.searchsorted((copies + lift).ravel(), (chosen + lift).ravel(), side="right").reshape(
-        chosen.shape
-    )
+    found = np.searchsorted((copies + lift).ravel(), (chosen + lift).ravel(), side="right").reshape(chosen.shape)
     hit = found - copies.shape[1] * np.arange(len(weights))[:, None]
     return np.clip(hit, 0, copies.shape[1] - 1), reached

@@ -52,9 +52,7 @@ def ap_interval95(evaluation: Evaluation, draws: ApDraws) -> IntervalTree:
     return tree_of(evaluation, lambda key, level: _intervals(draws[key][level], None))
 
 
-def ap_drop(
-    reference: Evaluation, other: Evaluation, *, reference_draws: ApDraws, other_draws: ApDraws
-) -> Drop:
+def ap_drop(reference: Evaluation, other: Evaluation, *, reference_draws: ApDraws, other_draws: ApDraws) -> Drop:
     """What ``other`` loses against ``reference`` on the same frames.
 
     Args:
@@ -78,16 +76,13 @@ def ap_drop(
     first, second = reference.ap(), other.ap()
     return Drop(
         points=_difference(first, second),
-        interval95=tree_of(
-            shared, lambda key, level: _intervals(reference_draws[key][level], other_draws[key][level])
-        ),
+        interval95=tree_of(shared, lambda key, level: _intervals(reference_draws[key][level], other_draws[key][level])),
     )
 
 
 def _intervals(first: AveragePrecision, second: AveragePrecision | None) -> dict[str, list[float]]:
     return {
-        name: _interval(getattr(first, name) - (0.0 if second is None else getattr(second, name)))
-        for name in _VALUES
+        name: _interval(getattr(first, name) - (0.0 if second is None else getattr(second, name))) for name in _VALUES
     }
 
 

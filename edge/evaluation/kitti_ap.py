@@ -42,21 +42,15 @@ class Evaluation:
     def ap(self) -> ApTree:
         """The AP that the development kit gives, per cent."""
         weights = np.ones((1, self.frames), dtype=np.int64)
-        return tree_of(
-            self, lambda key, level: _numbers(average_precision(self.records[key][level], weights))
-        )
+        return tree_of(self, lambda key, level: _numbers(average_precision(self.records[key][level], weights)))
 
     def draws(self, weights: IntArray) -> dict[CurveKey, list[AveragePrecision]]:
         """AP under each weighting (D, F) of the frames: curve to one value a difficulty."""
-        return {
-            key: [average_precision(item, weights) for item in levels] for key, levels in self.records.items()
-        }
+        return {key: [average_precision(item, weights) for item in levels] for key, levels in self.records.items()}
 
 
 def _numbers(values: AveragePrecision) -> dict[str, float]:
-    return {
-        name: float(getattr(values, name)[0]) for name in ("r40", "r11", "orientation_r40", "orientation_r11")
-    }
+    return {name: float(getattr(values, name)[0]) for name in ("r40", "r11", "orientation_r40", "orientation_r11")}
 
 
 def tree_of(evaluation: Evaluation, value: Callable[[CurveKey, int], dict[str, Any]]) -> dict[str, Any]:

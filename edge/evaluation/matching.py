@@ -101,17 +101,13 @@ def match(
     detection_state = detection_states(detections, rule, difficulty)
     overlap = pairs.overlap[metric]
     rows = np.flatnonzero(
-        (overlap > min_overlap)
-        & (label_state[pairs.label] != ABSENT)
-        & (detection_state[pairs.detection] != ABSENT)
+        (overlap > min_overlap) & (label_state[pairs.label] != ABSENT) & (detection_state[pairs.detection] != ABSENT)
     )
     of_label, of_detection = pairs.label[rows], pairs.detection[rows]
     label_degree = np.bincount(of_label, minlength=len(labels.frame))
     detection_degree = np.bincount(of_detection, minlength=len(detections.frame))
     alone = (label_degree[of_label] == 1) & (detection_degree[of_detection] == 1)
-    excused = (
-        pairs.region_cover > min_overlap if metric == "2d" else np.zeros(len(detections.frame), dtype=bool)
-    )
+    excused = pairs.region_cover > min_overlap if metric == "2d" else np.zeros(len(detections.frame), dtype=bool)
     similarity = np.zeros(len(rows))  # orientation is scored beside the image overlap only, as in the kit
     if metric == "2d":
         similarity = 0.5 * (1.0 + np.cos(labels.alpha_rad[of_label] - detections.alpha_rad[of_detection]))
@@ -188,9 +184,7 @@ def _match_groups(
         before = (0, 0, 0.0)
         for threshold in sorted(set(scores.values()), reverse=True):
             active = {row for row in detection_rows if scores[row] >= threshold}
-            hit_count, similarity_sum, taken = _greatest_overlap_hits(
-                group, counts_label, counts_detection, active
-            )
+            hit_count, similarity_sum, taken = _greatest_overlap_hits(group, counts_label, counts_detection, active)
             now = (hit_count, len((wrong_if_free & active) - taken), similarity_sum)
             if now != before:
                 row = next(row for row in detection_rows if scores[row] == threshold)
@@ -207,9 +201,7 @@ class _Group:
     similarity: dict[tuple[int, int], float]
 
     @classmethod
-    def of(
-        cls, labels: list[int], detections: list[int], overlaps: list[float], similarities: list[float]
-    ) -> _Group:
+    def of(cls, labels: list[int], detections: list[int], overlaps: list[float], similarities: list[float]) -> _Group:
         rivals: dict[int, list[tuple[int, float]]] = {}
         for label, detection, overlap in sorted(zip(labels, detections, overlaps, strict=True)):
             rivals.setdefault(label, []).append((detection, overlap))

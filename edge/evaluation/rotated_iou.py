@@ -64,9 +64,7 @@ def _clamped_areas(first: FloatArray, second: FloatArray) -> FloatArray:
     start = np.stack([along, across], axis=-1)  # (N, 4, 2) corners of B in A's axes
     step = np.roll(start, -1, axis=1) - start
     half = 0.5 * first[:, None, 2:4]
-    safe_step = np.where(
-        step == 0.0, 1.0, step
-    )  # an edge parallel to a line crosses it nowhere: any parameter will do
+    safe_step = np.where(step == 0.0, 1.0, step)  # an edge parallel to a line crosses it nowhere: any parameter will do
     with np.errstate(over="ignore"):
         crossings = np.concatenate([(half - start) / safe_step, (-half - start) / safe_step], axis=-1)
     at = np.sort(np.clip(crossings, 0.0, 1.0), axis=-1)  # (N, 4 edges, 4 crossings)

@@ -39,9 +39,7 @@ def read_text_frames(labels: Path, detections: Path, split: Path | None = None) 
     """
     for folder, what in ((labels, "label"), (detections, "detection")):
         if not folder.is_dir():
-            raise SourceError(
-                f"{folder} is not a folder, expected one with {what} files FRAME{SUFFIX}; check the path"
-            )
+            raise SourceError(f"{folder} is not a folder, expected one with {what} files FRAME{SUFFIX}; check the path")
     frame_ids = _detected_frames(detections) if split is None else read_split(split)
     origin = f"the split {split}" if split is not None else f"the result files in {detections}"
     _refuse_missing(
@@ -55,9 +53,7 @@ def read_text_frames(labels: Path, detections: Path, split: Path | None = None) 
     return TextFrames(
         frame_ids=frame_ids,
         labels=tuple(parse_labels(_read(path), where=str(path)) for path in _files(labels, frame_ids)),
-        detections=tuple(
-            parse_detections(_read(path), where=str(path)) for path in _files(detections, frame_ids)
-        ),
+        detections=tuple(parse_detections(_read(path), where=str(path)) for path in _files(detections, frame_ids)),
     )
 
 
@@ -96,9 +92,7 @@ def _files(folder: Path, frame_ids: tuple[str, ...]) -> list[Path]:
 def _refuse_missing(folder: Path, frame_ids: tuple[str, ...], expected: str) -> None:
     missing = [path for path in _files(folder, frame_ids) if not path.is_file()]
     if missing:
-        raise SourceError(
-            f"{missing[0]} is missing ({len(missing)} of {len(frame_ids)} are), expected {expected}"
-        )
+        raise SourceError(f"{missing[0]} is missing ({len(missing)} of {len(frame_ids)} are), expected {expected}")
 
 
 def _read(path: Path) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +37,9 @@ class Measurement:
         objects: class -> [easy, moderate, hard] count of labelled objects.
         latency_ms: stage -> median milliseconds a frame.
         agreement: with the reference model, None for the reference itself.
+        ap_interval95: the same tree as ``ap`` with [low, high] in place of each number: bootstrap over frames.
+        drop: AP points lost against the reference, the same tree; empty for the reference itself.
+        drop_interval95: its intervals: the same frames drawn for both models.
     """
 
     path: str
@@ -44,3 +48,6 @@ class Measurement:
     objects: dict[str, list[int]] = field(default_factory=dict)
     latency_ms: dict[str, float] = field(default_factory=dict)
     agreement: Agreement | None = None
+    ap_interval95: dict[str, Any] = field(default_factory=dict)
+    drop: dict[str, Any] = field(default_factory=dict)
+    drop_interval95: dict[str, Any] = field(default_factory=dict)
