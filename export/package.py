@@ -4,16 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import platform
-import shutil
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 
 import onnx
 
-from runtime.contracts.errors import OutputError
 from runtime.contracts.manifest import (
     MANIFEST_FILE,
     MODEL_FILE,
@@ -24,6 +19,7 @@ from runtime.contracts.manifest import (
     format_manifest,
     write_priors,
 )
+from runtime.model_folder import replaced_directory
 
 CARD_FILE = "card.md"
 _TOOLS = ("torch", "onnx", "onnxscript", "onnxsim", "onnxruntime", "numpy")
@@ -57,54 +53,6 @@ def write_model_directory(
     return written
 
 
-@contextmanager
-def replaced_directory(out: Path) -> Iterator[Path]:
-    """Gives an empty folder beside ``out`` and renames it to ``out`` when the block ends without an error.
-
-    Raises:
-        OutputError: ``out`` is a file, or a folder that is neither empty nor a model directory, or cannot be
-            written.
-    """
-    if out.exists() and not (out.is_dir() and (not any(out.iterdir()) or (out / MANIFEST_FILE).is_file())):
-        raise OutputError(
-            f"{out}: found something that is no model directory; expected a free place or an older model"
-            " directory; choose another --out"
-        )
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        staging = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
-    except OSError as error:
-        raise _unwritable(out, error) from error
-    try:
-        folder = staging / "new"
-        folder.mkdir()  # mkdtemp's own mode keeps other users out; this one follows the umask
-        yield folder
-        _swap(folder, out, retired=staging / "old")
-    except OSError as error:
-        raise _unwritable(out, error) from error
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
-
-
 def tool_versions() -> dict[str, str]:
     """Versions of what made the file."""
     return {"python": platform.python_version(), **{name: version(name) for name in _TOOLS}}
-
-
-def _swap(folder: Path, out: Path, *, retired: Path) -> None:
-    """Renames ``folder`` to ``out``; puts what was there back if that fails."""
-    if out.exists():
-        out.rename(retired)
-    try:
-        folder.rename(out)
-    except OSError:
-        if retired.exists():
-            retired.rename(out)
-        raise
-
-
-def _unwritable(out: Path, error: OSError) -> OutputError:
-    return OutputError(
-        f"{out}: found that it cannot be written ({error.strerror}); expected a writable folder; choose"
-        " another --out"
-    )
