@@ -53,16 +53,13 @@ def parse_depthai_calibration(
         ) from None
     if own_size[0] <= 0 or own_size[1] <= 0 or baseline_m == 0.0:
         raise FormatError(
-            f"{where} has image size {own_size} and baseline {baseline_m} m, expected a calibrated pair; "
-            "calibrate it"
+            f"{where} has image size {own_size} and baseline {baseline_m} m, expected a calibrated pair; calibrate it"
         )
     size_wh = image_size_wh or own_size
     return rectified_geometry(fit_intrinsics(intrinsics, own_size, size_wh), baseline_m, size_wh)
 
 
-def rectified_geometry(
-    intrinsics: FloatArray, baseline_m: float, image_size_wh: tuple[int, int]
-) -> StereoGeometry:
+def rectified_geometry(intrinsics: FloatArray, baseline_m: float, image_size_wh: tuple[int, int]) -> StereoGeometry:
     """P2 = K [I | 0], P3 = K [I | (-baseline, 0, 0)]."""
     left = np.hstack([intrinsics, np.zeros((3, 1))])
     right = left.copy()
@@ -70,9 +67,7 @@ def rectified_geometry(
     return StereoGeometry(left, right, image_size_wh)
 
 
-def fit_intrinsics(
-    intrinsics: FloatArray, from_size_wh: tuple[int, int], to_size_wh: tuple[int, int]
-) -> FloatArray:
+def fit_intrinsics(intrinsics: FloatArray, from_size_wh: tuple[int, int], to_size_wh: tuple[int, int]) -> FloatArray:
     """Intrinsics after scaling an image to cover another size and cutting evenly what stands over."""
     factor = max(to_size_wh[0] / from_size_wh[0], to_size_wh[1] / from_size_wh[1])
     fitted = np.diag([factor, factor, 1.0]) @ intrinsics

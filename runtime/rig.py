@@ -58,8 +58,7 @@ def load_geometry(path: Path | str, image_size_wh: tuple[int, int] | None = None
         data = json.loads(text)
     except json.JSONDecodeError as error:
         raise FormatError(
-            f"{where} is no JSON ({error.msg} at line {error.lineno}), expected a geometry file; mend the "
-            "file"
+            f"{where} is no JSON ({error.msg} at line {error.lineno}), expected a geometry file; mend the file"
         ) from None
     if "cameraData" in data:
         return parse_depthai_calibration(data, image_size_wh, where=where)
@@ -80,16 +79,12 @@ def parse_geometry(data: dict[str, Any], *, where: str = "geometry") -> StereoGe
     if data["schema"] != SCHEMA or isinstance(data["schema"], bool):
         raise FormatError(f"{where} has schema {data['schema']!r}, expected {SCHEMA}; write it anew")
     size = data["image_size_wh"]
-    if not (
-        isinstance(size, list) and len(size) == 2 and all(type(side) is int and side > 0 for side in size)
-    ):
+    if not (isinstance(size, list) and len(size) == 2 and all(type(side) is int and side > 0 for side in size)):
         raise FormatError(f"{where}: image_size_wh is {size!r}, expected two whole numbers; mend the file")
     try:
         P2, P3 = (np.array(data[name], dtype=np.float64) for name in ("P2", "P3"))
     except (TypeError, ValueError):
-        raise FormatError(
-            f"{where}: P2 or P3 is no table of numbers, expected 3 rows of 4; mend the file"
-        ) from None
+        raise FormatError(f"{where}: P2 or P3 is no table of numbers, expected 3 rows of 4; mend the file") from None
     return StereoGeometry(P2, P3, (size[0], size[1]))
 
 
@@ -104,9 +99,7 @@ def format_geometry(geometry: StereoGeometry) -> str:
     return json.dumps(data, indent=2) + "\n"
 
 
-def fit_to_size(
-    geometry: StereoGeometry, image_size_wh: tuple[int, int] | None, *, where: str
-) -> StereoGeometry:
+def fit_to_size(geometry: StereoGeometry, image_size_wh: tuple[int, int] | None, *, where: str) -> StereoGeometry:
     """The geometry for resized images of the same shape.
 
     Raises:
@@ -164,8 +157,7 @@ def _from_kitti_text(text: str, image_size_wh: tuple[int, int] | None, *, where:
     named = _raw_size(text)
     if named is None and image_size_wh is None:
         raise FormatError(
-            f"{where} names no image size, expected S_rect_02 or a JSON geometry; give the size with the "
-            "images"
+            f"{where} names no image size, expected S_rect_02 or a JSON geometry; give the size with the images"
         )
     size = named or image_size_wh
     assert size is not None

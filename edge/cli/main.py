@@ -123,9 +123,7 @@ def missing_extra(package: str, *, command: str) -> MissingExtraError:
         command: the command that wanted it.
     """
     extra = EXTRA_OF_COMMAND.get(command, EXTRA_OF_PACKAGE[package])
-    return MissingExtraError(
-        f"`edge {command}` needs {package}, which is not installed; run: pip install '.[{extra}]'"
-    )
+    return MissingExtraError(f"`edge {command}` needs {package}, which is not installed; run: pip install '.[{extra}]'")
 
 
 def _package(error: ModuleNotFoundError) -> str:

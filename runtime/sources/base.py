@@ -51,9 +51,7 @@ class FrameSequence(ABC):
 
     is_live = False
 
-    def __init__(
-        self, uri: str, *, count: int, options: SourceOptions, camera_hz: float = DEFAULT_CAMERA_HZ
-    ) -> None:
+    def __init__(self, uri: str, *, count: int, options: SourceOptions, camera_hz: float = DEFAULT_CAMERA_HZ) -> None:
         """Chooses frames.
 
         Args:
@@ -156,6 +154,4 @@ def as_sequence(source: Source) -> FrameSequence:
     """
     if isinstance(source, FrameSequence):
         return source
-    raise SourceError(
-        f"{source.uri} is live, expected recorded frames; record first or name a file-backed source"
-    )
+    raise SourceError(f"{source.uri} is live, expected recorded frames; record first or name a file-backed source")

@@ -21,9 +21,7 @@ class _Kind:
 
 
 KINDS = {
-    "kitti-object": _Kind(
-        kitti_object.open_kitti_object, kitti_object.OPTIONS, "kitti-object:ROOT?split=val"
-    ),
+    "kitti-object": _Kind(kitti_object.open_kitti_object, kitti_object.OPTIONS, "kitti-object:ROOT?split=val"),
     "kitti-tracking": _Kind(
         kitti_tracking.open_kitti_tracking, kitti_tracking.OPTIONS, "kitti-tracking:ROOT?sequence=0001"
     ),
@@ -72,5 +70,7 @@ def open_sequence(uri: str) -> FrameSequence:
     """
     source = open_source(uri)
     if not isinstance(source, FrameSequence):
-        raise SourceError(f"source {uri!r} is live, expected recorded frames; give files, for example kitti-object:ROOT")
+        raise SourceError(
+            f"source {uri!r} is live, expected recorded frames; give files, for example kitti-object:ROOT"
+        )
     return source

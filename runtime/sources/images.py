@@ -73,9 +73,7 @@ def split_target(uri: SourceUri, options: SourceOptions, *, form: str) -> list[s
     """
     parts = uri.target.split(",")
     if not all(parts) or len(parts) > 2 or (len(parts) == 1 and options.views == "both"):
-        raise SourceError(
-            f"{uri.text}: found {uri.target!r}, expected {form}; name both views, with a comma between"
-        )
+        raise SourceError(f"{uri.text}: found {uri.target!r}, expected {form}; name both views, with a comma between")
     return parts
 
 

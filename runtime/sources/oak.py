@@ -91,9 +91,7 @@ class OakCamera:
         try:
             device = self._stack.enter_context(depthai.Device(self._device_info))
             calibration = device.readCalibration()
-            self._geometry = parse_depthai_calibration(
-                calibration.eepromToJson(), self._size_wh, where=self.uri
-            )
+            self._geometry = parse_depthai_calibration(calibration.eepromToJson(), self._size_wh, where=self.uri)
             pipeline = self._stack.enter_context(depthai.Pipeline(device))
             left, right = build_rectified_pair(
                 pipeline,
@@ -198,9 +196,7 @@ def import_depthai() -> Any:
     try:
         import depthai
     except ModuleNotFoundError:
-        raise MissingExtraError(
-            "found no depthai, expected it for an OAK camera; run: pip install '.[oak]'"
-        ) from None
+        raise MissingExtraError("found no depthai, expected it for an OAK camera; run: pip install '.[oak]'") from None
     return depthai
 
 

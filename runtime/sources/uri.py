@@ -58,8 +58,7 @@ class SourceOptions:
         rows = rows if self.limit is None else rows[: self.limit]
         if not rows:
             raise SourceError(
-                f"{uri}: start={self.start} leaves none of {count} frames, expected 0 to {count - 1}; lower "
-                "start"
+                f"{uri}: start={self.start} leaves none of {count} frames, expected 0 to {count - 1}; lower start"
             )
         return rows
 
@@ -132,15 +131,11 @@ def positive_number(uri: SourceUri, name: str, text: str) -> float:
     except ValueError:
         value = 0.0
     if not 0.0 < value <= 1000.0:
-        raise SourceError(
-            f"{uri.text}: {name}={text}, expected a number above 0, at most 1000; give a rate in Hz"
-        )
+        raise SourceError(f"{uri.text}: {name}={text}, expected a number above 0, at most 1000; give a rate in Hz")
     return value
 
 
 def _whole(uri: SourceUri, name: str, text: str, *, least: int) -> int:
     if not text.isdecimal() or int(text) < least:
-        raise SourceError(
-            f"{uri.text}: {name}={text}, expected a whole number, {least} or more; mend the URI"
-        )
+        raise SourceError(f"{uri.text}: {name}={text}, expected a whole number, {least} or more; mend the URI")
     return int(text)

@@ -36,16 +36,12 @@ def open_video(uri: SourceUri, options: SourceOptions) -> VideoPairs:
     geometry = geometry_option(uri)
     if layout == SIDE_BY_SIDE:
         if "," in uri.target or not uri.target:
-            raise SourceError(
-                f"{uri.text}: found {uri.target!r}, expected one file that shows both views; name it"
-            )
+            raise SourceError(f"{uri.text}: found {uri.target!r}, expected one file that shows both views; name it")
         names = [uri.target]
     else:
         names = split_target(uri, options, form="video:LEFT,RIGHT or video:FILE?layout=side-by-side")
     paths = [Path(name) for name in names]
-    return VideoPairs(
-        uri.text, paths, options=options, geometry=geometry, side_by_side=layout == SIDE_BY_SIDE
-    )
+    return VideoPairs(uri.text, paths, options=options, geometry=geometry, side_by_side=layout == SIDE_BY_SIDE)
 
 
 class VideoPairs(FrameSequence):
@@ -61,8 +57,7 @@ class VideoPairs(FrameSequence):
         if len(set(counts)) > 1:
             self.close()
             raise SourceError(
-                f"{uri}: left has {counts[0]} frames and right {counts[1]}, expected the same; cut them to "
-                "one length"
+                f"{uri}: left has {counts[0]} frames and right {counts[1]}, expected the same; cut them to one length"
             )
         self._geometry_file = geometry
         self._geometry: StereoGeometry | None = None
@@ -115,9 +110,7 @@ class _Reader:
         self.count = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)) if self._capture.isOpened() else 0
         if self.count < 1:
             self.close()
-            raise SourceError(
-                f"{uri}: {path} is no video that can be read, expected MP4, AVI or WebM; convert it"
-            )
+            raise SourceError(f"{uri}: {path} is no video that can be read, expected MP4, AVI or WebM; convert it")
         self.hz = float(self._capture.get(cv2.CAP_PROP_FPS)) or DEFAULT_CAMERA_HZ
         self._next = 0
 
@@ -135,7 +128,8 @@ class _Reader:
                 "the file is cut short: copy it again or set limit"
             )
         self._next += 1
-        return image.astype(np.uint8, copy=False)
+        pixels: NDArray[np.uint8] = image.astype(np.uint8, copy=False)
+        return pixels
 
     def close(self) -> None:
         self._capture.release()
