@@ -59,6 +59,15 @@ class ParityReport:
         """Whether every output reached the goal."""
         return all(output.worst <= self.goal for output in self.outputs)
 
+    def lines(self) -> list[str]:
+        """One line an output, for people."""
+        return [
+            f"{output.name}: max|a-b|/max|a| {output.function_body:.1e} by the function body, "
+            + (f"{output.native:.1e} by the native library" if output.native is not None else "native not built")
+            + f", on {self.frames} frames"
+            for output in self.outputs
+        ]
+
 
 def measure_parity(
     module: nn.Module,
@@ -122,9 +131,7 @@ def _differences(
     found = session.run(frame)
     shapes, wanted = [item.shape for item in found], [item.shape for item in expected]
     if shapes != wanted:
-        raise ExportError(
-            f"parity: found outputs of shapes {shapes}; expected torch's {wanted}; export again"
-        )
+        raise ExportError(f"parity: found outputs of shapes {shapes}; expected torch's {wanted}; export again")
     return np.array([_relative(a, b) for a, b in zip(expected, found, strict=True)])
 
 

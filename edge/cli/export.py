@@ -1,0 +1,124 @@
+"""``edge export``: a checkpoint to a finished model directory, checked against torch."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Optional
+
+import typer
+
+DEFAULT_FRAMES = 3
+
+
+class InputType(StrEnum):
+    """What the graph takes: camera pixels, or pixels normalised outside."""
+
+    UINT8 = "uint8"
+    FLOAT32 = "float32"
+
+
+def export_command(
+    checkpoint: Annotated[Path, typer.Option(help="Weights: .safetensors of `edge train`, or a .pt/.pth.")],
+    out: Annotated[Path, typer.Option(help="Model directory to write; an older one there is replaced.")],
+    preset: Annotated[str, typer.Option(help="compact, paper or mono.")] = "compact",
+    priors: Annotated[
+        Optional[Path],  # noqa: UP045 - typer reads this form
+        typer.Option(help="Priors file or folder; default: what lies beside the checkpoint."),
+    ] = None,
+    input_type: Annotated[
+        InputType, typer.Option("--input", help="Whether the graph normalises (uint8) or the caller (float32).")
+    ] = InputType.UINT8,
+    source: Annotated[
+        Optional[str],  # noqa: UP045
+        typer.Option(help="Frames to compare torch and ONNX Runtime on; default: the bundled recording."),
+    ] = None,
+    frames: Annotated[int, typer.Option(min=1, help="How many of them.")] = DEFAULT_FRAMES,
+) -> None:
+    """Export a checkpoint; exit 1 where ONNX Runtime does not give what torch gives."""
+    import dataclasses
+
+    import torch
+    from rich.console import Console
+    from torch import nn
+
+    from edge.detector.network import StereoDetector
+    from edge.detector.presets import preset as find_preset
+    from edge.detector.weights import load_weights
+    from edge.zoo.card import model_card
+    from edge.zoo.priors import find_priors
+    from export.package import write_model_directory
+    from export.parity import measure_parity
+    from export.to_onnx import to_onnx
+    from export.views import FromPixels
+    from runtime.contracts.errors import GoalMissedError
+    from runtime.contracts.manifest import file_sha256
+    from runtime.native.library import library_path
+    from runtime.sources.factory import open_sequence
+
+    console = Console(stderr=True, highlight=False)
+    chosen = find_preset(preset)
+    manifest = chosen.manifest(input_type=input_type.value)
+    detector = StereoDetector(chosen)
+    load_weights(detector, checkpoint)
+    tables = find_priors(chosen, checkpoint, priors)
+    network: nn.Module = detector.eval()
+    if input_type is InputType.UINT8:
+        network = FromPixels(detector, mean=manifest.normalisation.mean, std=manifest.normalisation.std).eval()
+    with open_sequence(source or _bundled_recording()) as recording:
+        feeds = _feeds(recording, manifest, frames)
+
+    with console.status("exporting"):
+        examples = {name: torch.from_numpy(array) for name, array in feeds[0].items()}
+        model = to_onnx(network, examples, ("cls_logits", "box_deltas"))
+        content = model.SerializeToString()
+    with console.status("comparing with torch"):
+        report = measure_parity(network, content, feeds)
+    lines = report.lines()
+    for line in lines:
+        console.print(line, soft_wrap=True)
+    if library_path() is None:
+        console.print("without the native library: build it with python -m runtime.native.build")
+    if not report.passed:
+        raise GoalMissedError(
+            f"parity: found {'; '.join(lines)}; expected at most {report.goal:g}; nothing was written: compare"
+            " the layers of the exported graph with the network's"
+        )
+    provenance = {
+        "checkpoint": checkpoint.name,
+        "checkpoint_sha256": file_sha256(checkpoint),
+        "parity": "; ".join(lines),
+    }
+    manifest = dataclasses.replace(manifest, provenance=provenance)
+    card = model_card(manifest, checkpoint, parity=f"{'; '.join(lines)}.")
+    write_model_directory(out, model, manifest, priors=tables, card=card)
+    console.print(f"wrote {out}")
+
+
+def _feeds(recording, manifest, count: int) -> list[dict]:  # type: ignore[no-untyped-def, type-arg]
+    """The graph's inputs of ``count`` frames spread over a recording."""
+    import numpy as np
+
+    from runtime.preprocess import network_view, prepare
+
+    feeds = []
+    for index in np.unique(np.linspace(0, len(recording) - 1, count).round().astype(int)):
+        frame = recording[int(index)]
+        feeds.append(prepare(frame, network_view(frame.geometry, manifest), manifest))
+    return feeds
+
+
+def _bundled_recording() -> str:
+    """URI of the first drive in ``edge/samples``, in tracking layout."""
+    from importlib.resources import files
+
+    from runtime.contracts.errors import SourceError
+
+    samples = files("edge").joinpath("samples")
+    drives = sorted(
+        (item for item in samples.iterdir() if item.joinpath("training").is_dir()) if samples.is_dir() else (),
+        key=lambda item: item.name,
+    )
+    if not drives:
+        raise SourceError("no --source: found no bundled recording; expected frames to compare on; name a --source")
+    return f"kitti-tracking:{drives[0]}"

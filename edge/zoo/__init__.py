@@ -1,0 +1,1 @@
+"""Model zoo: bundled weights and models, and what belongs to a checkpoint."""

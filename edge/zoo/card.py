@@ -1,0 +1,47 @@
+"""The text of ``card.md``: what a model is, what it was made from, under which licence, and its limits."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from runtime.contracts.manifest import Manifest
+
+CARD_BESIDE_WEIGHTS = "card.md"
+
+
+def model_card(manifest: Manifest, checkpoint: Path, *, parity: str) -> str:
+    """Writes the card of a freshly exported model.
+
+    Args:
+        manifest: Of the model.
+        checkpoint: Its weights; a ``card.md`` beside them says what they were trained on and is taken over.
+        parity: One line on how well the graph equals the network that it was exported from.
+    """
+    height, width = manifest.input_size_hw
+    views = "a rectified stereo pair" if manifest.views == 2 else "one image"
+    beside = checkpoint.parent / CARD_BESIDE_WEIGHTS
+    origin = (
+        beside.read_text(encoding="utf-8").strip()
+        if beside.is_file()
+        else "Not stated: no card.md lies beside the checkpoint. The licence of the training data applies."
+    )
+    return f"""# {manifest.preset}, {manifest.recipe}
+
+Finds {", ".join(manifest.classes)} in 3D from {views}; network image {width} x {height}, {manifest.input_type} input.
+
+## Weights, data and licence
+
+Exported from `{checkpoint.name}`.
+
+{origin}
+
+## Checks
+
+{parity}
+
+## Limits
+
+Made for a rig of focal length {manifest.rig.focal_px:.0f} px at network size and baseline
+{manifest.rig.baseline_m:.3f} m, rectified, level, on a road. Not a safety component: objects are missed and
+invented, most of all far away, hidden, cut by the image border, at night and in bad weather.
+"""
