@@ -70,20 +70,18 @@ def objects_line(objects: dict[str, list[int]]) -> str:
     return f"Labelled objects (easy / moderate / hard): {', '.join(parts) or 'none'}"
 
 
-def drop_table(drop: dict[str, Any], interval95: dict[str, Any], *, title: str) -> Table:
+def drop_table(drop: dict[str, Any], interval95: dict[str, Any], *, objects: dict[str, list[int]], title: str) -> Table:
     """Points of AP R40 lost against the reference, each with the 95 % interval of the paired bootstrap."""
     rows = []
     for name, metrics in drop.items():
         for metric in _ordered(metrics):
             for overlap, points in metrics[metric].items():
                 bounds = _branch(interval95, name, metric, overlap, "R40")
-                cells = [
-                    _with_interval(value, bounds, level, sign="+")
-                    for level, value in enumerate(points["R40"])
-                ]
+                cells = [_with_interval(value, bounds, level, sign="+") for level, value in enumerate(points["R40"])]
+                cells = _blank_without_objects(cells, objects.get(name, [0, 0, 0]))
                 rows.append((name, metric, overlap, *cells))
     columns = ("class", "metric", "IoU", *(f"R40 {level}" for level in LEVELS))
-    return Table(title, columns, tuple(rows))
+    return Table(title, columns, tuple(rows), note=objects_line(objects))
 
 
 def agreement_table(agreements: Sequence[tuple[str, Agreement]], *, title: str) -> Table:
@@ -94,23 +92,21 @@ def agreement_table(agreements: Sequence[tuple[str, Agreement]], *, title: str) 
         counts = f"{item.matched_count} of {item.reference_count} and {item.other_count}"
         bands = item.centre_error_m or {"all": None}
         for band, errors in bands.items():
-            median, mean = (
-                (NO_VALUE, NO_VALUE) if errors is None else (f"{errors[0]:.3f}", f"{errors[1]:.3f}")
-            )
+            median, mean = (NO_VALUE, NO_VALUE) if errors is None else (f"{errors[0]:.3f}", f"{errors[1]:.3f}")
             rows.append((name, share, counts, band, median, mean))
             name = share = counts = ""
     columns = ("model", "matched share", "matched", "distance m", "median m", "mean m")
     return Table(title, columns, tuple(rows))
 
 
-def latency_table(latencies: Sequence[tuple[str, dict[str, float]]], *, title: str) -> Table:
+def latency_table(latencies: Sequence[tuple[str, dict[str, float]]], *, title: str, note: str = "") -> Table:
     """Median milliseconds a frame by stage, one row a model."""
     stages = list(dict.fromkeys(stage for _, stages_ms in latencies for stage in stages_ms))
     rows = [
         (name, *(f"{stages_ms[stage]:.2f}" if stage in stages_ms else NO_VALUE for stage in stages))
         for name, stages_ms in latencies
     ]
-    return Table(title, ("model", *stages), tuple(rows))
+    return Table(title, ("model", *stages), tuple(rows), note=note)
 
 
 def _ordered(metrics: dict[str, Any]) -> list[str]:

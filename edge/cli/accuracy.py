@@ -1,0 +1,136 @@
+"""``edge accuracy``: models side by side on one source, the first is the reference."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from edge.evaluation.measure import Assessment
+    from runtime.contracts.measurement import Measurement
+    from runtime.sources.base import FrameSequence
+
+DETECTIONS_FOLDER, PICTURES_FOLDER = "detections", "pictures"
+PICTURES = 6
+
+
+def accuracy_command(
+    models: Annotated[list[Path], typer.Argument(help="Model directories; the first is the reference.")],
+    source: Annotated[str, typer.Option(help="Frames to measure on, for example kitti-object:ROOT?split=val.")],
+    out: Annotated[Path | None, typer.Option(help="New folder for report, pictures and detections.")] = None,
+    json: Annotated[Path | None, typer.Option(help="Write the figures to this file.")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Write into a folder that holds files.")] = False,
+    allow_other_rig: Annotated[
+        bool, typer.Option("--allow-other-rig", help="Accept a camera far from those of the training data.")
+    ] = False,
+) -> None:
+    """AP of each model, what the others lose against the first, and how far they agree with it."""
+    from edge.evaluation.measure import assess, measurement
+    from edge.evaluation.run import run_model
+    from edge.report.document import NO_LABELS, report_tables
+    from edge.report.files import write_json
+    from edge.report.records import accuracy_record
+    from edge.report.terminal import progress_bar, report_console, show_table
+    from runtime.contracts.manifest import open_model_directory
+    from runtime.sinks.places import claim_folder
+    from runtime.sources.base import as_sequence
+    from runtime.sources.factory import open_source
+
+    for path in models:
+        open_model_directory(path)  # a wrong one is said before the first has run for minutes
+    if out is not None:
+        claim_folder(out, overwrite=overwrite)
+    with open_source(source) as opened:
+        frames = as_sequence(opened)
+        assessments: list[Assessment] = []
+        for path in models:
+            with progress_bar(f"{path}", len(frames)) as step:
+                run = run_model(path, frames, on_frame=step, allow_other_rig=allow_other_rig, warn=_warn)
+            assessments.append(assess(run))
+        records = [measurement(item, assessments[0] if index else None) for index, item in enumerate(assessments)]
+        if json is not None:
+            write_json(json, accuracy_record(records))
+        if out is not None:
+            _write_folder(out, source, frames, assessments=assessments, records=records)
+
+    console = report_console()
+    if assessments[0].evaluation is None:
+        console.print(NO_LABELS)
+    elif assessments[0].evaluation.frames < len(frames):
+        console.print(f"{assessments[0].evaluation.frames} of {len(frames)} frames have labels; AP is on those.")
+    for table in report_tables(records):
+        show_table(console, table)
+    if out is not None:
+        console.print(f"Report, pictures and detections are in {out}.", soft_wrap=True)
+
+
+def _warn(text: str) -> None:
+    typer.echo(f"warning: {text}", err=True)
+
+
+def _write_folder(
+    out: Path,
+    source: str,
+    frames: FrameSequence,
+    *,
+    assessments: Sequence[Assessment],
+    records: Sequence[Measurement],
+) -> None:
+    """Detections as KITTI text, pictures of differences, report.md and report.json."""
+    from edge.evaluation.depth_error import depth_errors
+    from edge.report.document import model_names
+    from edge.report.files import write_text
+    from edge.report.model_report import write_model_report
+    from runtime.contracts.kitti import format_detections
+
+    names = model_names(records)
+    for name, item in zip(names, assessments, strict=True):
+        for frame_id, found in zip(item.run.frame_ids, item.run.detections, strict=True):
+            write_text(out / DETECTIONS_FOLDER / _flat(name) / f"{frame_id}.txt", format_detections(found))
+    errors = []
+    for item in assessments:
+        rows = [index for index, labels in enumerate(item.run.labels) if labels is not None]
+        labels = [item.run.labels[index] for index in rows]
+        found = [item.run.detections[index] for index in rows]
+        errors.append(depth_errors(labels, found, score=item.run.score_display))
+    pictures: list[tuple[str, str]] = []
+    for name, item in zip(names[1:], assessments[1:], strict=True):
+        pictures += _write_pictures(out, frames, reference=assessments[0], other=item, names=(names[0], name))
+    write_model_report(
+        out,
+        records,
+        title=f"Accuracy of {', '.join(names)}",
+        source=source,
+        depth_errors=errors,
+        pictures=pictures,
+    )
+
+
+def _write_pictures(
+    out: Path, frames: FrameSequence, *, reference: Assessment, other: Assessment, names: tuple[str, str]
+) -> list[tuple[str, str]]:
+    """Pictures of the frames that differ most; returns caption and path of each."""
+    from edge.report.differences import compare_frame, draw_differences, most_different
+    from edge.report.files import write_picture
+
+    first, second = reference.run, other.run
+    differences = [
+        compare_frame(left.above(first.score_display), right.above(second.score_display))
+        for left, right in zip(first.detections, second.detections, strict=True)
+    ]
+    written = []
+    for index in most_different(differences, PICTURES):
+        item = differences[index]
+        place = Path(PICTURES_FOLDER) / _flat(names[1]) / f"{_flat(first.frame_ids[index])}.jpg"
+        write_picture(out / place, draw_differences(frames[index], item, names))
+        caption = f"{names[1]}, frame {first.frame_ids[index]}: {item.lost} lost, {item.new} new, {item.moved} moved"
+        written.append((caption, place.as_posix()))
+    return written
+
+
+def _flat(name: str) -> str:
+    return name.strip("/").replace("/", "_")
