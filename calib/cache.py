@@ -68,8 +68,7 @@ def load(key: str, folder: Path | None = None) -> Observation | None:
             numbers, counts = archive["numbers"], archive["counts"]
             channel_names = [str(name) for name in archive["channel_names"]]
             channels = {
-                name: (archive[f"low_{index}"], archive[f"high_{index}"])
-                for index, name in enumerate(channel_names)
+                name: (archive[f"low_{index}"], archive[f"high_{index}"]) for index, name in enumerate(channel_names)
             }
             tensors = {
                 name: TensorStatistics(

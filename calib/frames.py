@@ -8,14 +8,27 @@ later run can tell whether it saw the same and whether a measuring source overla
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import islice
+from typing import Any
+
+from numpy.typing import NDArray
 
 from runtime.contracts.errors import SourceError
 from runtime.contracts.frame import StereoFrame
+from runtime.contracts.manifest import Manifest
+from runtime.preprocess import network_view, prepare
+from runtime.rig import check_rig
 
 SHORT_HASH = 16
+
+
+Warn = Callable[[str], None]
+
+
+def _say_nothing(line: str) -> None:
+    pass
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,9 +73,7 @@ def spread_indices(available: int, wanted: int) -> tuple[int, ...]:
     if wanted < 1:
         raise SourceError(f"--frames: found {wanted}; expected 1 or more; 100 serve well")
     if available < 1:
-        raise SourceError(
-            "calibration source: found no frames; expected one or more; check the folder and the options"
-        )
+        raise SourceError("calibration source: found no frames; expected one or more; check the folder and the options")
     if wanted >= available:
         return tuple(range(available))
     return tuple(int((2 * part + 1) * available // (2 * wanted)) for part in range(wanted))
@@ -95,6 +106,31 @@ def chosen_frames(source: Iterable[StereoFrame], wanted: int) -> Iterator[Stereo
         return
     for index in spread_indices(len(source), wanted):  # type: ignore[arg-type]
         yield source[index]  # type: ignore[index]
+
+
+def frame_feeds(
+    frames: Iterable[StereoFrame], manifest: Manifest, *, allow_other_rig: bool = False, warn: Warn = _say_nothing
+) -> Iterator[dict[str, NDArray[Any]]]:
+    """The graph's feeds of each frame.
+
+    Args:
+        frames: Camera pairs.
+        manifest: Of the model.
+        allow_other_rig: Accept cameras far from those of the training data.
+        warn: Told once where the camera differs somewhat.
+
+    Raises:
+        RigError: A camera is too far from those of the training data.
+        FrameError: A frame lacks a view that the model needs, or is too small.
+    """
+    warned = False
+    for frame in frames:
+        view = network_view(frame.geometry, manifest)
+        notice = check_rig(view.geometry, manifest.rig, stereo=manifest.views == 2, allow=allow_other_rig)
+        if notice is not None and not warned:
+            warned = True
+            warn(notice)
+        yield prepare(frame, view, manifest)
 
 
 def is_sequence(source: object) -> bool:

@@ -106,9 +106,7 @@ def tensor_range(statistics: TensorStatistics, method: str) -> Range:
         FormatError: no such method.
     """
     if method not in METHODS:
-        raise FormatError(
-            f"--method: found {method!r}; expected one of {', '.join(METHODS)}; choose one of these"
-        )
+        raise FormatError(f"--method: found {method!r}; expected one of {', '.join(METHODS)}; choose one of these")
     return METHODS[method](statistics)
 
 

@@ -87,9 +87,7 @@ class StreamingHistogram:
         """
         if self._minimum > self._maximum:
             raise FormatError(_NOTHING)
-        return TensorStatistics(
-            self._minimum, self._maximum, self._counts.copy(), self._first_edge, self._bin_width
-        )
+        return TensorStatistics(self._minimum, self._maximum, self._counts.copy(), self._first_edge, self._bin_width)
 
     def _cover(self, low: float, high: float) -> None:
         bins = len(self._counts)

@@ -106,9 +106,7 @@ def observe(
     )
 
 
-def split_groups(
-    names: Sequence[str], bytes_of: Mapping[str, int], limit_bytes: int = GROUP_BYTES
-) -> list[list[str]]:
+def split_groups(names: Sequence[str], bytes_of: Mapping[str, int], limit_bytes: int = GROUP_BYTES) -> list[list[str]]:
     """Cuts a list of tensors into groups of at most ``limit_bytes``; a larger tensor stands alone."""
     groups: list[list[str]] = [[]]
     held = 0

@@ -26,7 +26,7 @@ from onnx import helper, numpy_helper
 from calib.methods import Range
 from quantize.correlation import qlinear_stereo_correlation_function
 from quantize.errors import QuantizeError
-from quantize.graph import GraphIndex, prune
+from quantize.graph import GraphIndex, attribute, prune
 from quantize.placement import Placement, activations, moves
 from quantize.qparams import (
     QuantParams,
@@ -104,9 +104,8 @@ class _Writer:
         self._level_names: dict[str, str] = {}
         self._float_names: dict[str, str] = {}
         self._params: dict[str, QuantParams] = {}
-        self._made_in_8_bits = {name for outputs in placement.outputs.values() for name in outputs} - set(
-            placement.outputs[node][0] for node in placement.column_outputs
-        )
+        ends = {placement.outputs[node][0] for node in placement.column_outputs}
+        self._made_in_8_bits = {name for names in placement.outputs.values() for name in names} - ends
 
     def write(self) -> QuantisedGraph:
         for name, (levels, scale, zero_point) in self._placement.given.items():
@@ -177,17 +176,11 @@ class _Writer:
             inputs += [self._levels(name), scale, zero_point] if name in node.input else [scale, zero_point]
         name = node.output[0]
         self._level_names[name] = f"{name}_q"
-        kwargs = {MAX_DISPARITY: _integer(node, MAX_DISPARITY)}
-        self._nodes.append(
-            helper.make_node(
-                QLINEAR_STEREO_CORRELATION,
-                inputs,
-                [self._level_names[name]],
-                name=node.name,
-                domain=DOMAIN,
-                **kwargs,
-            )
+        quantised = helper.make_node(
+            QLINEAR_STEREO_CORRELATION, inputs, [self._level_names[name]], name=node.name, domain=DOMAIN
         )
+        quantised.attribute.append(helper.make_attribute(MAX_DISPARITY, int(attribute(node, MAX_DISPARITY))))
+        self._nodes.append(quantised)
 
     def _write_move(self, node: onnx.NodeProto) -> None:
         names = activations(node)
@@ -267,17 +260,21 @@ class _Writer:
             scales = (scales / output_steps).astype(np.float32)
             total = total / output_steps
         bias_levels, bias_scales = quantize_bias(total, input_scale, scales)
-        base = node.name
-        for position, (kind, values, by_channel) in enumerate(
-            [("weight", levels, scales), ("bias", bias_levels, bias_scales)], start=1
-        ):
-            quantised = self._constant(f"{base}.{kind}_q", values)
-            scale = self._constant(f"{base}.{kind}_scale", by_channel)
-            zero = self._constant(f"{base}.{kind}_zero_point", np.zeros(len(by_channel), values.dtype))
-            target = f"{base}.{kind}_dq"
-            self._add("DequantizeLinear", [quantised, scale, zero], target, axis=0)
-            del node.input[position:]
-            node.input.append(target)
+        self._put_constant(node, 1, "weight", levels, scales)
+        self._put_constant(node, 2, "bias", bias_levels, bias_scales)
+
+    def _put_constant(
+        self, node: onnx.NodeProto, position: int, kind: str, levels: NDArray[Any], scales: NDArray[Any]
+    ) -> None:
+        """Sets an input of the node to dequantised constants with a scale an output channel."""
+        names = [
+            self._constant(f"{node.name}.{kind}_q", levels),
+            self._constant(f"{node.name}.{kind}_scale", scales),
+            self._constant(f"{node.name}.{kind}_zero_point", np.zeros(len(scales), levels.dtype)),
+        ]
+        self._add("DequantizeLinear", names, f"{node.name}.{kind}_dq", axis=0)
+        del node.input[position:]
+        node.input.append(f"{node.name}.{kind}_dq")
 
     def _settle_params(self, name: str) -> QuantParams:
         """Scale and zero point of a tensor: those of its root."""
@@ -331,8 +328,11 @@ class _Writer:
         self._constants.setdefault(name, value)
         return name
 
-    def _add(self, op_type: str, inputs: list[str], output: str, **attributes: int) -> None:
-        self._nodes.append(helper.make_node(op_type, inputs, [output], name=f"{output}/{op_type}", **attributes))
+    def _add(self, op_type: str, inputs: list[str], output: str, axis: int | None = None) -> None:
+        node = helper.make_node(op_type, inputs, [output], name=f"{output}/{op_type}")
+        if axis is not None:
+            node.attribute.append(helper.make_attribute("axis", axis))
+        self._nodes.append(node)
 
     def _finish(self) -> onnx.ModelProto:
         result = onnx.ModelProto()
@@ -352,7 +352,3 @@ def _copy(node: onnx.NodeProto) -> onnx.NodeProto:
     copy = onnx.NodeProto()
     copy.CopyFrom(node)
     return copy
-
-
-def _integer(node: onnx.NodeProto, name: str) -> int:
-    return next(int(item.i) for item in node.attribute if item.name == name)
