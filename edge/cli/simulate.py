@@ -1,0 +1,47 @@
+"""``edge simulate``: labelled stereo frames or drives of a procedural road world."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def simulate_command(
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder to make.")],
+    frames: Annotated[int, typer.Option(help="Number of single frames.")] = 100,
+    sequence: Annotated[bool, typer.Option("--sequence", help="One 10 Hz drive in KITTI's tracking layout.")] = False,
+    seconds: Annotated[float, typer.Option(help="Length of the drive.")] = 10.0,
+    rig: Annotated[str, typer.Option(help="kitti, oak-d, or a JSON file {schema, image_size_wh, P2, P3}.")] = "kitti",
+    seed: Annotated[int, typer.Option(help="Frame i is made from seed + i.")] = 0,
+    format: Annotated[str, typer.Option(help="Image files: jpg, png or webp.")] = "jpg",
+    quality: Annotated[int, typer.Option(help="Quality of jpg and webp.")] = 92,
+    workers: Annotated[int, typer.Option(help="Processes that render.")] = 2,
+) -> None:
+    """Write simulated stereo frames with exact KITTI labels.
+
+    Single frames go to KITTI's object layout and follow the statistics of KITTI's training labels; ImageSets/all,
+    train and val each name every frame of the set. The rig is written to OUT/rig.json.
+    """
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    from edge.simulation.simulate import simulate
+
+    console = Console(stderr=True)
+    columns = (TextColumn("simulate"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console) as bar:
+        task = bar.add_task("simulate", total=None)
+        count = simulate(
+            out, frames=frames, sequence=sequence, seconds=seconds, rig=rig, seed=seed, image_format=format,
+            quality=quality, workers=workers, progress=lambda done, total: bar.update(task, completed=done, total=total),
+        )  # fmt: skip
+    console.print(f"{count} labelled pairs in {out}", highlight=False)

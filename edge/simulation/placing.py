@@ -1,0 +1,167 @@
+"""Objects placed in the world: size, body, pose; overlap tests and quick silhouettes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from edge.simulation.bodies.library import Body, bodies
+from edge.simulation.scene import Instance
+
+FloatArray = NDArray[np.float64]
+
+_PAINT_TONES = (
+    ((0.30, 0.31, 0.32), 0.26), ((0.16, 0.17, 0.18), 0.13), ((0.012, 0.012, 0.014), 0.24), ((0.66, 0.66, 0.64), 0.10),
+    ((0.015, 0.03, 0.10), 0.09), ((0.05, 0.11, 0.24), 0.05), ((0.28, 0.015, 0.015), 0.06), ((0.02, 0.07, 0.04), 0.03),
+    ((0.30, 0.25, 0.17), 0.02), ((0.48, 0.36, 0.03), 0.01), ((0.10, 0.02, 0.03), 0.01),
+)  # fmt: skip
+_COMMERCIAL_TONES = (
+    ((0.66, 0.66, 0.64), 0.45), ((0.30, 0.31, 0.32), 0.2), ((0.02, 0.025, 0.03), 0.1), ((0.48, 0.36, 0.03), 0.07),
+    ((0.02, 0.05, 0.2), 0.1), ((0.35, 0.02, 0.015), 0.08),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedObject:
+    """One labelled object at one moment.
+
+    Attributes:
+        kind: KITTI class.
+        body: its mesh variant; phase: gait phase drawn.
+        size_hwl: label size, metres.
+        location: (3,) world bottom centre.
+        yaw_rad: rotation about y, label convention (0 faces +x).
+        tint: colour of paint or cloth.
+        object_id: 1.. , the track id is one less.
+        mesh_hwl: size of the drawn mesh before stretching to ``size_hwl``.
+    """
+
+    kind: str
+    body: Body
+    phase: int
+    size_hwl: tuple[float, float, float]
+    location: tuple[float, float, float]
+    yaw_rad: float
+    tint: tuple[float, float, float]
+    object_id: int
+    mesh_hwl: tuple[float, float, float]
+
+    def world_from_model(self) -> FloatArray:
+        """(4, 4): stretch of the library mesh to the label's size, turn, move."""
+        height, width, length = (a / b for a, b in zip(self.size_hwl, self.mesh_hwl, strict=True))
+        cos, sin = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
+        matrix = np.eye(4)
+        matrix[:3, :3] = np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]]) @ np.diag(
+            [length, height, width]
+        )
+        matrix[:3, 3] = self.location
+        return matrix
+
+    def instance(self) -> Instance:
+        """What the renderer draws."""
+        return Instance(
+            self.body.mesh_name(self.phase),
+            self.world_from_model(),
+            self.tint,
+            self.object_id,
+            float(self.object_id) * 1.37,
+        )
+
+
+def draw_size(kind: str, statistics: dict, rng: np.random.Generator) -> tuple[float, float, float]:  # type: ignore[type-arg]
+    """(h, w, l) from a class's size statistics, metres."""
+    entry = statistics["classes"][kind]
+    low, high = np.array(entry["size_low"]), np.array(entry["size_high"])
+    sample = rng.multivariate_normal(entry["size_mean"], entry["size_covariance"])
+    height, width, length = np.clip(sample, low, high)
+    return float(height), float(width), float(length)
+
+
+def choose_body(
+    kind: str, size_hwl: tuple[float, float, float], rng: np.random.Generator, *, whole_cycle: bool = False
+) -> tuple[Body, int, tuple[float, float, float], tuple[float, float, float]]:
+    """A body near a wanted size and its phase; the label size and the mesh size after limiting the stretch.
+
+    Args:
+        kind: KITTI class.
+        size_hwl: wanted size.
+        rng: source of chance.
+        whole_cycle: measure walkers and riders over their whole gait (their size stays constant along a drive).
+    """
+    options = []
+    for candidate in bodies(kind):
+        if whole_cycle:
+            options.append((candidate, int(rng.integers(len(candidate.phases))), candidate.cycle_hwl))
+        else:
+            options += [(candidate, phase, candidate.size_hwl[phase]) for phase in range(len(candidate.phases))]
+    sizes = np.array([option[2] for option in options])
+    distance = (np.abs(np.log(np.array(size_hwl) / sizes)) * np.array([1.0, 0.7, 1.0])).sum(axis=1)
+    near = np.argsort(distance, kind="stable")[: max(4, len(options) // 8)]
+    body, phase, own = options[int(rng.choice(near))]
+    stretch = np.clip(np.array(size_hwl) / own, 0.84, 1.2)
+    label = own * stretch
+    return (
+        body,
+        phase,
+        (float(label[0]), float(label[1]), float(label[2])),
+        (float(own[0]), float(own[1]), float(own[2])),
+    )
+
+
+def draw_tint(kind: str, rng: np.random.Generator) -> tuple[float, float, float]:
+    """A paint colour for vehicles, a slight shade for people."""
+    if kind in ("Pedestrian", "Cyclist"):
+        red, green, blue = rng.uniform(0.75, 1.2, 3)
+        return float(red), float(green), float(blue)
+    table = _COMMERCIAL_TONES if kind in ("Van", "Truck") and rng.random() < 0.7 else _PAINT_TONES
+    shares = np.array([share for _, share in table])
+    tone = np.array(table[int(rng.choice(len(table), p=shares / shares.sum()))][0])
+    red, green, blue = np.clip(tone * rng.normal(1.0, 0.12) * rng.normal(1.0, 0.05, 3), 0.008, 0.8)
+    return float(red), float(green), float(blue)
+
+
+def footprint(x: float, z: float, yaw_rad: float, *, length_m: float, width_m: float) -> FloatArray:
+    """Ground corners (4, 2) of a box, world x and z."""
+    cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
+    along = 0.5 * length_m * np.array([cos, -sin])
+    across = 0.5 * width_m * np.array([sin, cos])
+    centre = np.array([x, z])
+    return np.array(
+        [centre + along + across, centre + along - across, centre - along - across, centre - along + across]
+    )
+
+
+def footprints_overlap(first: FloatArray, second: FloatArray) -> bool:
+    """Whether two convex quadrilaterals (4, 2) overlap (separating axes)."""
+    for quad in (first, second):
+        edges = quad[[1, 2]] - quad[[0, 1]]
+        normals = np.stack([-edges[:, 1], edges[:, 0]], axis=1)
+        a, b = first @ normals.T, second @ normals.T
+        if ((a.max(axis=0) < b.min(axis=0)) | (b.max(axis=0) < a.min(axis=0))).any():
+            return False
+    return True
+
+
+_OUTLINES: dict[str, FloatArray] = {
+    "Car": np.array([(0.5, -0.1, 0.42), (-0.5, -0.1, 0.45), (0.5, -0.5, 0.42), (-0.5, -0.6, 0.45), (0.12, -1.0, 0.36), (-0.34, -0.97, 0.36), (0.3, 0.0, 0.49), (-0.3, 0.0, 0.49)]),
+    "Van": np.array([(0.5, -0.1, 0.42), (-0.5, -0.1, 0.47), (0.5, -0.45, 0.42), (-0.5, -0.6, 0.47), (0.2, -1.0, 0.41), (-0.46, -1.0, 0.41), (0.3, 0.0, 0.49), (-0.3, 0.0, 0.49)]),
+    "Truck": np.array([(0.5, -0.12, 0.49), (-0.5, -0.12, 0.49), (0.5, -0.85, 0.49), (-0.5, -1.0, 0.49), (0.2, -1.0, 0.49), (0.3, 0.0, 0.49), (-0.3, 0.0, 0.49)]),
+    "Pedestrian": np.array([(0.45, 0.0, 0.2), (-0.45, 0.0, 0.2), (0.2, -0.55, 0.45), (-0.2, -0.55, 0.45), (0.15, -0.85, 0.4), (-0.15, -0.85, 0.4), (0.1, -1.0, 0.15), (-0.1, -1.0, 0.15)]),
+    "Cyclist": np.array([(0.45, 0.0, 0.05), (-0.45, 0.0, 0.05), (0.5, -0.2, 0.05), (-0.5, -0.2, 0.05), (0.25, -0.6, 0.45), (-0.2, -0.55, 0.25), (0.1, -1.0, 0.15), (-0.1, -1.0, 0.15)]),
+}  # fmt: skip
+
+
+def silhouette_points(
+    kind: str, size_hwl: tuple[float, float, float], location: FloatArray, yaw_rad: float
+) -> FloatArray:
+    """World points (P, 3) whose hull is about the object's outline."""
+    right = _OUTLINES[kind]
+    model = np.concatenate([right, right * np.array([1.0, 1.0, -1.0])]) * np.array(
+        [size_hwl[2], size_hwl[0], size_hwl[1]]
+    )
+    cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
+    x = model[:, 0] * cos + model[:, 2] * sin
+    z = -model[:, 0] * sin + model[:, 2] * cos
+    return np.stack([x, model[:, 1], z], axis=1) + location

@@ -1,0 +1,1 @@
+"""Unlabelled surroundings: ground, buildings, plants, street furniture."""
