@@ -55,8 +55,16 @@ class AnchorHead(nn.Module):
         return logits, _by_anchor(self.regression(features), DELTA_COUNT)
 
 
+class _FullPrecisionConv2d(nn.Conv2d):
+    """A convolution that leaves mixed precision: bfloat16 would round logits to steps of 0.03."""
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        with torch.autocast(x.device.type, enabled=False):
+            return super().forward(x.float())
+
+
 def _final(in_channels: int, out_channels: int, kernel: int) -> nn.Conv2d:
-    layer = nn.Conv2d(in_channels, out_channels, kernel, padding=kernel // 2)
+    layer = _FullPrecisionConv2d(in_channels, out_channels, kernel, padding=kernel // 2)
     nn.init.zeros_(layer.weight)
     assert layer.bias is not None
     nn.init.zeros_(layer.bias)

@@ -1,4 +1,4 @@
-"""Weights in and out: safetensors of our own, ImageNet backbones."""
+"""Weights in and out: safetensors of our own, official checkpoints, ImageNet backbones."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 
 from edge.detector.network import StereoDetector
+from edge.detector.official import from_official, is_official
 from runtime.contracts.errors import CheckpointError
 
 SHOWN_NAMES = 3
@@ -53,7 +54,7 @@ def load_weights(detector: StereoDetector, path: Path) -> None:
 
 
 def read_state(path: Path) -> dict[str, torch.Tensor]:
-    """Names to tensors of a safetensors file or a torch checkpoint, pickles never run.
+    """Names to tensors of a safetensors file or a torch checkpoint (ours or official); pickles never run.
 
     Raises:
         CheckpointError: missing or unreadable.
@@ -77,7 +78,8 @@ def read_state(path: Path) -> dict[str, torch.Tensor]:
             break
     if not isinstance(data, dict) or not all(isinstance(value, torch.Tensor) for value in data.values()):
         raise CheckpointError(f"{path} holds no tensors by name, expected a state dict; copy it again")
-    return {name.removeprefix("module."): value for name, value in data.items()}
+    plain = {name.removeprefix("module."): value for name, value in data.items()}
+    return from_official(plain) if is_official(plain) else plain
 
 
 def load_backbone(detector: StereoDetector, path: Path) -> None:
