@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from export.errors import ExportError
+from export.mode import eval_mode
 from runtime.session import Session, open_session
 
 GOAL = 1e-4
@@ -91,25 +92,21 @@ def measure_parity(
         ExportError: No frame was given, or torch gave other shapes than the graph.
         SessionError: The graph cannot be loaded or run.
     """
-    training = module.training
-    module.eval()
     count = 0
-    try:
-        with (
-            open_session(model, use_native=False, name="exported model") as plain,
-            open_session(model, use_native=True, name="exported model") as native,
-        ):
-            names = [item.name for item in plain.outputs]
-            worst = np.zeros((2, len(names)))
-            for frame in frames:
-                expected = _run_torch(module, frame)
-                worst[0] = np.maximum(worst[0], _differences(expected, plain, frame))
-                if native.native_loaded:
-                    worst[1] = np.maximum(worst[1], _differences(expected, native, frame))
-                count += 1
-            loaded = native.native_loaded
-    finally:
-        module.train(training)
+    with (
+        eval_mode(module),
+        open_session(model, use_native=False, name="exported model") as plain,
+        open_session(model, use_native=True, name="exported model") as native,
+    ):
+        names = [item.name for item in plain.outputs]
+        loaded = native.native_loaded
+        worst = np.zeros((2, len(names)))
+        for frame in frames:
+            expected = _run_torch(module, frame)
+            worst[0] = np.maximum(worst[0], _differences(expected, plain, frame))
+            if loaded:
+                worst[1] = np.maximum(worst[1], _differences(expected, native, frame))
+            count += 1
     if count == 0:
         raise ExportError("parity: found no frame; expected at least one; name a --source with frames")
     outputs = tuple(

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from export.errors import ExportError
 from export.function_body import stereo_correlation_function
+from export.mode import eval_mode
 from export.passes import custom_nodes, finish
 from runtime.contracts.correlation import DOMAIN, STEREO_CORRELATION, VERSION
 
@@ -37,15 +38,11 @@ def to_onnx(module: nn.Module, inputs: Mapping[str, Tensor], output_names: Seque
     Raises:
         ExportError: torch cannot export the module, or a pass lost a part of it.
     """
-    training = module.training
-    module.eval()
     try:
-        with torch.no_grad(), _quiet_exporter():
+        with eval_mode(module), torch.no_grad(), _quiet_exporter():
             program = torch.onnx.export(
                 module,
-                tuple(
-                    example.clone() for example in inputs.values()
-                ),  # one tensor twice would become one input
+                tuple(example.clone() for example in inputs.values()),  # one tensor twice would become one input
                 dynamo=True,
                 opset_version=OPSET_VERSION,
                 input_names=list(inputs),
@@ -58,8 +55,6 @@ def to_onnx(module: nn.Module, inputs: Mapping[str, Tensor], output_names: Seque
             f"{type(module).__name__}: found that torch cannot export it ({reason}); expected a module"
             " without data-dependent shapes or branches; simplify its forward"
         ) from error
-    finally:
-        module.train(training)
     if program is None:
         raise ExportError(f"{type(module).__name__}: found no program; expected one; use the pinned torch")
     model: onnx.ModelProto = program.model_proto
