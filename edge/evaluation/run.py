@@ -15,7 +15,7 @@ from runtime.pipeline import run_stream
 from runtime.sinks.base import FrameResult
 from runtime.sources.base import Source, as_sequence
 
-TOTAL = "total"
+READ, TOTAL = "read", "total"
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,5 +113,5 @@ def run_model(
         frame_ids=tuple(kept.frame_ids),
         labels=tuple(kept.labels),
         detections=tuple(kept.detections),
-        latency_ms={stage: medians[stage] for stage in (*STAGES, TOTAL) if stage in medians},
+        latency_ms={stage: medians[stage] for stage in (READ, *STAGES, TOTAL) if stage in medians},
     )

@@ -21,12 +21,14 @@ class Table:
         title: what the table shows, units included.
         columns: names; rows: as many cells each.
         note: a line below the table, empty for none.
+        spare_columns: how many of the last columns may be left out where there is no room.
     """
 
     title: str
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     note: str = ""
+    spare_columns: int = 0
 
 
 def ap_table(
@@ -57,7 +59,7 @@ def ap_table(
         *(f"R40 {level}" for level in LEVELS),
         *(f"R11 {level}" for level in LEVELS),
     )
-    return Table(title, columns, tuple(rows), note=objects_line(objects))
+    return Table(title, columns, tuple(rows), note=objects_line(objects), spare_columns=len(LEVELS))
 
 
 def _blank_without_objects(cells: list[str], counts: list[int]) -> list[str]:

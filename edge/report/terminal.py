@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from rich import box
 from rich.console import Console
 from rich.markup import escape
+from rich.measure import Measurement
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table as RichTable
 from rich.text import Text
@@ -15,7 +16,7 @@ from rich.text import Text
 from edge.report.rows import Table
 
 TEXT_COLUMNS = 3
-MIN_WIDTH = 120  # piped output has no width of its own: do not fold the tables
+MIN_WIDTH = 140  # piped output has no width of its own: do not fold the tables
 
 
 def show_table(console: Console, table: Table, *, text_columns: int = TEXT_COLUMNS) -> None:
@@ -28,14 +29,24 @@ def show_table(console: Console, table: Table, *, text_columns: int = TEXT_COLUM
     """
     if not table.rows:
         return
-    grid = RichTable(title=Text(table.title), box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
-    for index, name in enumerate(table.columns):
-        grid.add_column(Text(name), justify="left" if index < text_columns else "right", no_wrap=True)
-    for row in table.rows:
-        grid.add_row(*(Text(cell) for cell in row))
+    grid = _grid(table, len(table.columns), text_columns)
+    if (
+        table.spare_columns
+        and Measurement.get(console, console.options.update(max_width=10_000), grid).maximum > console.width
+    ):
+        grid = _grid(table, len(table.columns) - table.spare_columns, text_columns)
     console.print(grid)
     if table.note:
         console.print(Text(table.note))
+
+
+def _grid(table: Table, columns: int, text_columns: int) -> RichTable:
+    grid = RichTable(title=Text(table.title), box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
+    for index, name in enumerate(table.columns[:columns]):
+        grid.add_column(Text(name), justify="left" if index < text_columns else "right", no_wrap=True)
+    for row in table.rows:
+        grid.add_row(*(Text(cell) for cell in row[:columns]))
+    return grid
 
 
 def report_console() -> Console:
