@@ -10,9 +10,7 @@ import typer
 
 def evaluate_command(
     labels: Annotated[Path, typer.Option(help="Folder of KITTI label files, FRAME.txt.")],
-    detections: Annotated[
-        Path, typer.Option(help="Folder of KITTI result files, FRAME.txt; empty: no detection.")
-    ],
+    detections: Annotated[Path, typer.Option(help="Folder of KITTI result files, FRAME.txt; empty: no detection.")],
     split: Annotated[
         Path | None, typer.Option(help="Frames to evaluate, one id a line; default: the result files.")
     ] = None,
