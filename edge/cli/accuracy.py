@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -133,4 +134,5 @@ def _write_pictures(
 
 
 def _flat(name: str) -> str:
-    return name.strip("/").replace("/", "_")
+    """A name as one part of a path."""
+    return re.sub(r"[^\w.-]+", "_", name).strip("_")

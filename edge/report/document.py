@@ -23,12 +23,12 @@ ABOUT_LATENCY = "Medians while measuring, on whatever else the machine did; `edg
 
 def model_names(measurements: Sequence[Measurement]) -> list[str]:
     """The shortest ends of the paths that tell the models apart."""
-    parts = [Path(item.path).parts or (item.path,) for item in measurements]
+    parts = [tuple(part for part in Path(item.path).parts if part != "/") or (item.path,) for item in measurements]
     for depth in range(1, max(map(len, parts), default=1) + 1):
         names = ["/".join(item[-depth:]) for item in parts]
         if len(set(names)) == len(names):
             return names
-    return [f"{'/'.join(item)} ({number})" for number, item in enumerate(parts, start=1)]
+    return [f"{item[-1]} ({number})" for number, item in enumerate(parts, start=1)]
 
 
 def report_tables(

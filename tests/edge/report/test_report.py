@@ -97,8 +97,8 @@ def test_without_labels_only_agreement():
     ("paths", "names"),
     [
         (["a/fp32", "a/int8"], ["fp32", "int8"]),
-        (["a/model", "b/model"], ["a/model", "b/model"]),
-        (["a/m", "a/m"], ["a/m (1)", "a/m (2)"]),
+        (["/a/model", "/b/model"], ["a/model", "b/model"]),
+        (["a/m", "a/m"], ["m (1)", "m (2)"]),
     ],
 )
 def test_names_are_as_short_as_they_can_be(paths: list[str], names: list[str]):
