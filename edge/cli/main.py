@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import os
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -46,6 +47,7 @@ EXTRA_OF_COMMAND = {"simulate": "simulate", "train": "train", "export": "export"
 EXIT_WRONG_INPUT = 2
 EXIT_BUG = 3
 EXIT_INTERRUPTED = 130
+EXIT_BROKEN_PIPE = 141
 DEBUG_FLAG = "--debug"
 
 # Typer bundles click or depends on it, by version; the base classes are reached the same way in both.
@@ -79,6 +81,9 @@ class LazyGroup(TyperGroup):
         options = {**options, "standalone_mode": False, "prog_name": "edge"}
         try:
             result = super().main(arguments, **options)
+        except BrokenPipeError:
+            sys.stdout = open(os.devnull, "w")  # noqa: PTH123, SIM115 - the interpreter flushes it once more
+            sys.exit(EXIT_BROKEN_PIPE)
         except (Exception, KeyboardInterrupt) as error:
             if debug:
                 raise

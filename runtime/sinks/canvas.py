@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.contracts.errors import OutputError
+from runtime.quiet import quiet_opencv
 from runtime.sinks.base import FrameResult
 from runtime.sinks.overlay import OverlayRenderer
 from runtime.sinks.places import claim_file, claim_folder
@@ -96,7 +97,8 @@ class VideoFile:
         """One frame more."""
         if self._writer is None:
             size_wh = (canvas.shape[1], canvas.shape[0])
-            self._writer = cv2.VideoWriter(str(self._path), cv2.CAP_FFMPEG, self._fourcc, self._fps, size_wh)
+            with quiet_opencv():
+                self._writer = cv2.VideoWriter(str(self._path), cv2.CAP_FFMPEG, self._fourcc, self._fps, size_wh)
             if not self._writer.isOpened():
                 raise OutputError(
                     f"{self._path} cannot be opened for video, expected a writable place and OpenCV's codec "

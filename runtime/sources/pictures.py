@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.contracts.errors import FrameError, SourceError
+from runtime.quiet import quiet_opencv
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp")
 """In order of preference where one stem has several files."""
@@ -68,14 +69,19 @@ def read_image(path: Path, *, frame_id: str) -> NDArray[np.uint8]:
             f"frame {frame_id}: {path} cannot be read ({error.strerror}), expected an image; restore the file"
         ) from error
     damage = find_damage(content)
-    image = None if damage else cv2.imdecode(np.frombuffer(content, np.uint8), _COLOUR)
+    image = None if damage else _decode(content)
     if image is None:
         raise FrameError(
             f"frame {frame_id}: {path} is broken ({damage or 'it cannot be decoded'}), expected a whole "
             "PNG, JPEG or WebP image; copy it again"
         )
-    pixels: NDArray[np.uint8] = image.astype(np.uint8, copy=False)
-    return pixels
+    return image
+
+
+def _decode(content: bytes) -> NDArray[np.uint8] | None:
+    with quiet_opencv():
+        image = cv2.imdecode(np.frombuffer(content, np.uint8), _COLOUR)
+    return None if image is None else image.astype(np.uint8, copy=False)
 
 
 def find_damage(content: bytes) -> str | None:

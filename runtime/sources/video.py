@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from runtime.contracts.errors import FrameError, SourceError
 from runtime.contracts.frame import StereoFrame
 from runtime.contracts.geometry import StereoGeometry
+from runtime.quiet import quiet_opencv
 from runtime.rig import load_geometry
 from runtime.sources.base import DEFAULT_CAMERA_HZ, FrameSequence
 from runtime.sources.images import geometry_option, split_target
@@ -106,7 +107,8 @@ class _Reader:
         if not path.is_file():
             raise SourceError(f"{uri}: found no file {path}, expected a video; check the path")
         self._path = path
-        self._capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+        with quiet_opencv():
+            self._capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
         self.count = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)) if self._capture.isOpened() else 0
         if self.count < 1:
             self.close()
