@@ -52,6 +52,7 @@ class PlacedMesh:
         centres: (N, 3) bounding sphere centres.
         radii_m: (N,) bounding sphere radii.
         object_ids: (N,) int32.
+        mirrored: whether any placement turns the mesh inside out.
     """
 
     uploaded: UploadedMesh
@@ -59,14 +60,13 @@ class PlacedMesh:
     centres: NDArray[np.float64]
     radii_m: NDArray[np.float64]
     object_ids: NDArray[np.int32]
+    mirrored: bool
 
 
 class GeometryCache:
     """Holds uploaded meshes by identity and lets go of those that no scene has used for a while."""
 
-    def __init__(
-        self, context: Any, *, group_of_material: NDArray[np.int64], group_names: tuple[str, ...]
-    ) -> None:
+    def __init__(self, context: Any, *, group_of_material: NDArray[np.int64], group_names: tuple[str, ...]) -> None:
         """``group_of_material[m]`` indexes ``group_names``; groups are laid out in the order of the names."""
         self._context = context
         self._group_of_material = group_of_material
@@ -114,8 +114,9 @@ class GeometryCache:
         packed = np.empty((len(mesh.positions), _VERTEX_FLOATS), np.float32)
         packed[:, 0:3], packed[:, 3:6], packed[:, 6:9] = mesh.positions, mesh.normals, mesh.colours
         packed[:, 9] = mesh.materials
+        triangles = _turned_outward(mesh)
         # the last vertex of a triangle provokes: its material colours the whole triangle
-        group = self._group_of_material[mesh.materials[mesh.triangles[:, 2]]]
+        group = self._group_of_material[mesh.materials[triangles[:, 2]]]
         order = np.argsort(group, kind="stable")
         counts = np.bincount(group, minlength=len(self._group_names)) * 3
         firsts = np.concatenate([[0], np.cumsum(counts)])
@@ -129,7 +130,7 @@ class GeometryCache:
         return UploadedMesh(
             mesh=mesh,
             vertices=self._context.buffer(packed.tobytes()),
-            indices=self._context.buffer(np.ascontiguousarray(mesh.triangles[order], np.int32).tobytes()),
+            indices=self._context.buffer(np.ascontiguousarray(triangles[order], np.int32).tobytes()),
             ranges=ranges,
             centre=centre,
             radius_m=float(np.linalg.norm(mesh.positions - centre, axis=1).max()),
@@ -137,11 +138,25 @@ class GeometryCache:
         )
 
 
-class InstanceDrawer:
-    """Draws placed meshes with given programs."""
+def _turned_outward(mesh: Mesh) -> NDArray[np.int32]:
+    """(T, 3) triangles whose winding agrees with their vertex normals, so that back faces can be culled."""
+    a, b, c = (mesh.positions[mesh.triangles[:, corner]] for corner in range(3))
+    wrong = np.einsum("ij,ij->i", np.cross(b - a, c - a), mesh.normals[mesh.triangles].sum(axis=1)) < 0.0
+    triangles = mesh.triangles.copy()
+    triangles[wrong] = mesh.triangles[wrong][:, [1, 0, 2]]
+    return triangles
 
-    def __init__(self, context: Any) -> None:
+
+class InstanceDrawer:
+    """Draws placed meshes with given programs.
+
+    Back faces of surfaces with holes (foliage: closed blobs) are culled, which halves the cost of woods; all
+    other surfaces may be thin sheets and are drawn from both sides.
+    """
+
+    def __init__(self, context: Any, *, holed_group: str) -> None:
         self._context = context
+        self._holed_group = holed_group
 
     def load(self, placed: PlacedMesh, chosen: NDArray[np.int64]) -> None:
         """Write the chosen instances, in their order, for the draws that follow."""
@@ -157,9 +172,11 @@ class InstanceDrawer:
             buffer.orphan()
             buffer.write(data)
 
-    def draw(
-        self, placed: PlacedMesh, program: tuple[str, Any], *, span: tuple[int, int], count: int
-    ) -> None:
+    def faces_out(self, *, clockwise: bool) -> None:
+        """Say which winding outer faces have in the target that is drawn to next."""
+        self._context.front_face = "cw" if clockwise else "ccw"
+
+    def draw(self, placed: PlacedMesh, program: tuple[str, Any], *, span: tuple[int, int], count: int) -> None:
         """Draw ``span`` = (first index, index count) of ``count`` loaded instances with (name, program)."""
         name, shader = program
         uploaded = placed.uploaded
@@ -176,7 +193,12 @@ class InstanceDrawer:
                 skip_errors=True,
             )
             uploaded.arrays[name] = array
+        culled = span == uploaded.ranges.get(self._holed_group) and not placed.mirrored
+        if culled:
+            self._context.enable(self._context.CULL_FACE)
         array.render(vertices=span[1], first=span[0], instances=count)
+        if culled:
+            self._context.disable(self._context.CULL_FACE)
 
 
 def spans_of(uploaded: UploadedMesh, *, holed_group: str) -> Iterator[tuple[bool, tuple[int, int]]]:
@@ -206,4 +228,5 @@ def _gather(uploaded: UploadedMesh, instances: list[Instance], origin: NDArray[n
         centres=matrices[:, :, :3] @ uploaded.centre + matrices[:, :, 3],
         radii_m=uploaded.radius_m * scale,
         object_ids=ids,
+        mirrored=bool((np.linalg.det(matrices[:, :, :3]) < 0.0).any()),
     )

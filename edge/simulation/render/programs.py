@@ -18,6 +18,7 @@ assert GROUP_NAMES[-1] == HOLED_GROUP
 NOISE_UNIT, SHADOW_UNIT, COVER_UNIT = 0, 1, 2
 _SHADOW_FOOTPRINT = "0.05"
 _VIEW_FOOTPRINT = "length(v_world - u_eye) * u_metres_per_pixel_at_1m"
+_VIEW_FACING = "abs(dot(normalize(v_normal), normalize(v_world - u_eye)))"
 
 
 def group_of_material() -> NDArray[np.int64]:
@@ -35,13 +36,13 @@ class Programs:
         sources: dict[str, tuple[str, str]] = {
             name: (common.COLOUR_VERTEX, fragment) for name, (_, fragment) in MATERIAL_PROGRAMS.items()
         }
-        for kind, fragment, footprint in (
-            ("identity", common.IDENTITY_FRAGMENT, _VIEW_FOOTPRINT),
-            ("shadow", common.SHADOW_FRAGMENT, _SHADOW_FOOTPRINT),
-            ("cover", common.HEIGHT_FRAGMENT, _SHADOW_FOOTPRINT),
+        for kind, fragment, footprint, facing in (
+            ("identity", common.IDENTITY_FRAGMENT, _VIEW_FOOTPRINT, _VIEW_FACING),
+            ("shadow", common.SHADOW_FRAGMENT, _SHADOW_FOOTPRINT, "1.0"),
+            ("cover", common.HEIGHT_FRAGMENT, _SHADOW_FOOTPRINT, "1.0"),
         ):
             sources[f"{kind}/solid"] = (common.PLAIN_VERTEX, common.solid(fragment))
-            sources[f"{kind}/holed"] = (common.PLAIN_VERTEX, common.leafy(fragment, footprint))
+            sources[f"{kind}/holed"] = (common.PLAIN_VERTEX, common.leafy(fragment, footprint=footprint, facing=facing))
         sources["sky"] = (common.SKY_VERTEX, common.SKY_FRAGMENT)
         self._programs = {
             name: context.program(vertex_shader=vertex, fragment_shader=fragment)

@@ -32,39 +32,41 @@ def camera_position(camera: PinholeCamera) -> Matrix:
     return -rotation.T @ camera.camera_from_world[:3, 3]
 
 
-def clip_from_camera(camera: PinholeCamera) -> Matrix:
-    """(4, 4) OpenGL clip matrix of a pinhole camera; clip w is the z-depth in metres."""
+def clip_from_camera(camera: PinholeCamera, *, shift_px: tuple[float, float] = (0.0, 0.0)) -> Matrix:
+    """(4, 4) OpenGL clip matrix of a pinhole camera; clip w is the z-depth in metres.
+
+    ``shift_px`` moves the picture right and down: the sample taken at a pixel centre then lies that far left
+    and up of it.
+    """
     width, height = camera.size_wh
     k = camera.intrinsics
+    unit_z = np.array([0.0, 0.0, 1.0])
     matrix = np.zeros((4, 4))
     # window = u + 0.5 (pixel centres of OpenGL lie at half integers), ndc = 2 * window / size - 1
-    matrix[0, :3] = 2.0 * (k[0] + 0.5 * np.array([0.0, 0.0, 1.0])) / width - np.array([0.0, 0.0, 1.0])
-    matrix[1, :3] = 2.0 * (k[1] + 0.5 * np.array([0.0, 0.0, 1.0])) / height - np.array([0.0, 0.0, 1.0])
+    matrix[0, :3] = 2.0 * (k[0] + (0.5 + shift_px[0]) * unit_z) / width - unit_z
+    matrix[1, :3] = 2.0 * (k[1] + (0.5 + shift_px[1]) * unit_z) / height - unit_z
     matrix[2, 2] = (FAR_M + NEAR_M) / (FAR_M - NEAR_M)
     matrix[2, 3] = -2.0 * FAR_M * NEAR_M / (FAR_M - NEAR_M)
     matrix[3, 2] = 1.0
     return matrix
 
 
-def clip_from_world(camera: PinholeCamera, origin: Matrix) -> Matrix:
-    """(4, 4) clip matrix for world points given relative to ``origin``."""
-    shift = np.eye(4)
-    shift[:3, 3] = origin
-    return clip_from_camera(camera) @ camera.camera_from_world @ shift
+def clip_from_world(camera: PinholeCamera, origin: Matrix, *, shift_px: tuple[float, float] = (0.0, 0.0)) -> Matrix:
+    """(4, 4) clip matrix for points relative to ``origin``; ``shift_px`` as in `clip_from_camera`."""
+    back = np.eye(4)
+    back[:3, 3] = origin
+    return clip_from_camera(camera, shift_px=shift_px) @ camera.camera_from_world @ back
 
 
-def rays_from_clip(camera: PinholeCamera) -> Matrix:
+def rays_from_clip(camera: PinholeCamera, *, shift_px: tuple[float, float] = (0.0, 0.0)) -> Matrix:
     """(3, 3) matrix taking (ndc x, ndc y, 1) to a world direction, not normalised."""
     width, height = camera.size_wh
-    pixel_from_ndc = np.array(
-        [[width / 2, 0.0, width / 2 - 0.5], [0.0, height / 2, height / 2 - 0.5], [0.0, 0.0, 1.0]]
-    )
+    x, y = width / 2, height / 2
+    pixel_from_ndc = np.array([[x, 0.0, x - 0.5 - shift_px[0]], [0.0, y, y - 0.5 - shift_px[1]], [0.0, 0.0, 1.0]])
     return camera.camera_from_world[:3, :3].T @ np.linalg.inv(camera.intrinsics) @ pixel_from_ndc
 
 
-def shadow_clip_from_world(
-    camera: PinholeCamera, towards_sun: Matrix, *, origin: Matrix, texels: int
-) -> Matrix:
+def shadow_clip_from_world(camera: PinholeCamera, towards_sun: Matrix, *, origin: Matrix, texels: int) -> Matrix:
     """(4, 4) orthographic clip matrix of the sun's view of the road ahead, for points relative to origin.
 
     The covered block reaches from `SHADOW_BEHIND_M` behind to `SHADOW_AHEAD_M` ahead of the camera. Its

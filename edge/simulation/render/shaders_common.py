@@ -78,16 +78,17 @@ vec2 planar(vec3 p, vec3 n) {
 
 FOLIAGE_COVER = """
 struct Leaves { vec4 fine; vec4 clump; float cover; };
-// cover 0..1: how much of the leaf layer covers this spot
-Leaves leaves_at(vec3 p, float seed, float footprint) {
+// cover 0..1: how much of the leaf layer covers this spot; outlines (facing 0) are more ragged than middles
+Leaves leaves_at(vec3 p, float seed, float footprint, float facing) {
     vec2 s = seeded(seed);
     Leaves l;
     l.fine = noise(p.xy + p.zz * vec2(0.37, 0.61) + s, 1.7, footprint);
     l.clump = noise(p.zy + p.xx * vec2(0.29, -0.53) - s, 4.3, footprint);
     float edge = l.fine.a * 0.45 + l.clump.a * 0.25 + l.clump.r * 0.30;
+    float cut_at = mix(0.52, 0.28, clamp(facing * 1.7, 0.0, 1.0));
     float soft = clamp(footprint * 1.5, 0.03, 0.4);
-    float cut = smoothstep(0.33 - soft, 0.33 + soft, edge);
-    l.cover = mix(cut, 0.86, smoothstep(0.08, 0.35, footprint));
+    float cut = smoothstep(cut_at - soft, cut_at + soft, edge);
+    l.cover = mix(cut, 0.9 - 2.0 * max(cut_at - 0.4, 0.0), smoothstep(0.06, 0.2, footprint));
     return l;
 }
 """
@@ -209,12 +210,17 @@ SKY_FRAGMENT = (
     + SKY
     + """
 uniform vec2 u_sky_shift;
+uniform vec3 u_bounce;
 in vec3 v_ray;
 out vec4 out_radiance;
 void main() {
     vec3 d = normalize(v_ray);
     float up = max(-d.y, 0.0);
     vec3 radiance = sky_gradient(d);
+    // below the horizon, beyond the ground that was built: open land in haze
+    float land_distance_m = 1.65 / max(d.y, 0.0005);
+    vec3 land = mix(u_air, u_bounce * vec3(0.8, 0.95, 0.5), exp2(-1.4427 * u_haze_per_m * land_distance_m));
+    radiance = mix(radiance, land, clamp(d.y * 300.0, 0.0, 1.0));
     vec2 p = d.xz / (up + 0.09) + u_sky_shift;
     float far = clamp(0.0025 / ((up + 0.09) * (up + 0.09)), 0.002, 0.5);
     float body = noise(p, 9.0, far).r * 0.68 + noise(p * 1.07 + 3.1, 2.1, far).g * 0.32;
@@ -239,12 +245,15 @@ PLAIN_VERTEX = (
     + """
 uniform mat4 u_clip_from_world;
 in int in_object_id;
+in vec3 in_normal;
 out vec3 v_world;
 out vec3 v_model;
+out vec3 v_normal;
 flat out float v_seed;
 flat out int v_object_id;
 void main() {
     v_world = placed(in_position);
+    v_normal = vec3(dot(in_row0.xyz, in_normal), dot(in_row1.xyz, in_normal), dot(in_row2.xyz, in_normal));
     v_model = in_position;
     v_seed = in_tint_seed.w;
     v_object_id = in_object_id;
@@ -281,6 +290,7 @@ void main() {
 LEAF_INPUTS = """
 uniform vec3 u_eye;
 in vec3 v_model;
+in vec3 v_normal;
 flat in float v_seed;
 """
 
@@ -290,8 +300,8 @@ def solid(fragment: str) -> str:
     return VERSION + fragment.replace("CUT", "")
 
 
-def leafy(fragment: str, footprint: str) -> str:
-    """The same with holes between leaves; ``footprint`` is a GLSL expression in metres a pixel."""
+def leafy(fragment: str, *, footprint: str, facing: str) -> str:
+    """The same with holes between leaves; GLSL expressions give metres a pixel and how much a spot faces."""
     inputs = LEAF_INPUTS + ("" if "in vec3 v_world" in fragment else "in vec3 v_world;\n")
-    cut = f"if (leaves_at(v_model, v_seed, {footprint}).cover < 0.5) discard;"
+    cut = f"if (leaves_at(v_model, v_seed, {footprint}, {facing}).cover < 0.5) discard;"
     return VERSION + NOISE + FOLIAGE_COVER + inputs + fragment.replace("CUT", cut)

@@ -148,17 +148,17 @@ void main() {
 FOLIAGE = (
     FOLIAGE_COVER
     + """
+uniform float u_least_cover;   // differs between the samples of a pixel, so that outlines come out soft
 void main() {
     Spot s = spot_here();
-    Leaves l = leaves_at(v_model, v_seed, s.footprint);
-    int samples = int(l.cover * 4.0 + 0.5);
-    if (samples == 0) discard;
-    gl_SampleMask[0] = samples >= 4 ? 15 : samples == 3 ? 7 : samples == 2 ? 9 : 1;
+    Leaves l = leaves_at(v_model, v_seed, s.footprint, abs(dot(s.n, s.view)));
+    if (l.cover < u_least_cover) discard;
     float leaf = l.fine.a - 0.45, grain = l.fine.b - 0.5, clump = l.clump.r - 0.5, broad = l.clump.g - 0.5;
     vec3 n = normalize(s.n + vec3(grain, clump + 0.3 * leaf, leaf) * 1.6);
-    vec3 albedo = v_colour * max(1.0 + 0.9 * leaf + 1.2 * grain + 1.0 * clump, 0.08);
+    float sprig = l.clump.a - 0.45, twig = l.clump.b - 0.5;
+    vec3 albedo = v_colour * max(1.0 + 1.0 * leaf + 1.0 * grain + 0.8 * sprig + 1.3 * twig + 0.7 * clump, 0.06);
     albedo *= vec3(1.0 + 0.5 * broad, 1.0 + 0.25 * broad, 1.0 - 0.2 * broad);
-    vec3 light = diffuse_light(v_world, n, clamp(0.6 + 1.4 * clump + 0.5 * leaf, 0.15, 1.0));
+    vec3 light = diffuse_light(v_world, n, clamp(0.6 + 1.2 * clump + 0.6 * leaf + 0.5 * sprig, 0.12, 1.0));
     float through = max(dot(s.view, u_sun), 0.0);
     light += u_sun_rgb * u_sun_share * vec3(0.25, 0.32, 0.08) * through * (0.3 + leaf);
     finish(albedo * light, s);
@@ -191,10 +191,8 @@ void main() {
         float mortar = clamp((max(in_brick.y, in_brick.x + 0.04) - 0.40) * 16.0, 0.0, 1.0);
         float keep = clamp(1.0 - fp * 14.0, 0.0, 1.0) * step(style.x, 0.4);
         albedo *= 1.0 + keep * (0.5 * (hash2(floor(b)) - 0.5) + 0.35 * mortar);
-        // plinth
-        albedo *= 1.0 - 0.35 * step(height, 0.35 + 0.3 * style.w);
         // windows: one a cell of bay x storey
-        vec2 cell_size = vec2(1.9 + 1.9 * style.z, 2.8 + 0.7 * style.y);
+        vec2 cell_size = vec2(1.9 + 1.9 * style.z, 3.15);
         vec2 cell = vec2(uv.x, height) / cell_size + vec2(0.5, 0.0);
         vec2 id = floor(cell);
         vec2 at = cell - id;

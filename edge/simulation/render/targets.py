@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-COLOUR_SAMPLES = 4
 SHADOW_TEXELS = 2048
 COVER_TEXELS = 512
 
@@ -17,13 +16,8 @@ class Targets:
 
     def __init__(self, context: Any, size_wh: tuple[int, int]) -> None:
         self.size_wh = size_wh
-        samples = min(COLOUR_SAMPLES, context.max_samples)
-        self.colour = context.framebuffer(
-            [context.renderbuffer(size_wh, 4, samples=samples, dtype="f2")],
-            context.depth_renderbuffer(size_wh, samples=samples),
-        )
-        self._resolved_texture = context.texture(size_wh, 4, dtype="f2")
-        self.resolved = context.framebuffer([self._resolved_texture])
+        self._colour_texture = context.texture(size_wh, 4, dtype="f2")
+        self.colour = context.framebuffer([self._colour_texture], context.depth_renderbuffer(size_wh))
         self._identity_texture = context.texture(size_wh, 2, dtype="i4")
         self.identity = context.framebuffer([self._identity_texture], context.depth_renderbuffer(size_wh))
 
@@ -35,16 +29,12 @@ class Targets:
         self.cover_texture = context.texture((COVER_TEXELS, COVER_TEXELS), 1, dtype="f2")
         self.cover_texture.filter = (context.LINEAR_MIPMAP_LINEAR, context.LINEAR)
         self.cover_texture.repeat_x = self.cover_texture.repeat_y = False
-        self.cover = context.framebuffer(
-            [self.cover_texture], context.depth_renderbuffer((COVER_TEXELS, COVER_TEXELS))
-        )
-        self._context = context
+        self.cover = context.framebuffer([self.cover_texture], context.depth_renderbuffer((COVER_TEXELS, COVER_TEXELS)))
 
     def read_radiance(self) -> NDArray[np.float32]:
-        """Average the samples of the colour buffer: (H, W, 3) float32."""
+        """The colour buffer: (H, W, 3) float32."""
         width, height = self.size_wh
-        self._context.copy_framebuffer(self.resolved, self.colour)
-        halves = np.frombuffer(self._resolved_texture.read(), np.float16).reshape(height, width, 4)
+        halves = np.frombuffer(self._colour_texture.read(), np.float16).reshape(height, width, 4)
         return halves[..., :3].astype(np.float32)
 
     def read_identity(self) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
@@ -63,10 +53,10 @@ class Targets:
 
     def release(self) -> None:
         """Free GPU memory."""
-        for framebuffer in (self.colour, self.resolved, self.identity, self.shadow, self.cover):
+        for framebuffer in (self.colour, self.identity, self.shadow, self.cover):
             framebuffer.release()
         for texture in (
-            self._resolved_texture,
+            self._colour_texture,
             self._identity_texture,
             self.shadow_texture,
             self.cover_texture,
