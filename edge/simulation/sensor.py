@@ -46,10 +46,10 @@ class SensorModel:
 
     gain_rgb: tuple[float, float, float] = (1.0, 1.0, 1.0)
     mean_level: float = 95.0
-    gamma: float = 1.6
+    gamma: float = 1.4
     knee: float = 0.85
     black_level: float = 3.0
-    saturation: float = 1.05
+    saturation: float = 0.9
     vignetting: float = 0.15
     blur_px: float = 0.5
     sharpening: float = 0.0
@@ -72,13 +72,13 @@ def draw_sensor(rng: np.random.Generator) -> StereoSensor:
     shared = SensorModel(
         gain_rgb=(float(np.exp(warmth)), float(np.exp(tint)), float(np.exp(-warmth))),
         mean_level=float(np.clip(rng.normal(97.0, 13.0), 70.0, 130.0)),
-        gamma=float(rng.uniform(1.2, 2.0)),
+        gamma=float(rng.uniform(1.05, 1.7)),
         knee=float(rng.uniform(0.65, 0.95)),
         black_level=float(rng.uniform(0.0, 6.0)),
-        saturation=float(rng.uniform(0.85, 1.3)),
+        saturation=float(rng.uniform(0.7, 1.1)),
         vignetting=float(rng.uniform(0.05, 0.35)),
         blur_px=float(rng.uniform(0.35, 0.75)),
-        sharpening=float(max(rng.uniform(-0.3, 0.7), 0.0)),
+        sharpening=float(max(rng.uniform(-0.3, 0.5), 0.0)),
         shot_noise=float(3.0e-4 * noisy),
         read_noise=float(2.5e-3 * noisy),
     )

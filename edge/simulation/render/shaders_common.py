@@ -82,10 +82,10 @@ struct Leaves { vec4 fine; vec4 clump; float cover; };
 Leaves leaves_at(vec3 p, float seed, float footprint, float facing) {
     vec2 s = seeded(seed);
     Leaves l;
-    l.fine = noise(p.xy + p.zz * vec2(0.37, 0.61) + s, 1.7, footprint);
-    l.clump = noise(p.zy + p.xx * vec2(0.29, -0.53) - s, 4.3, footprint);
+    l.fine = noise(p.xy + p.zz * vec2(0.37, 0.61) + s, 1.15, footprint);
+    l.clump = noise(p.zy + p.xx * vec2(0.29, -0.53) - s, 3.1, footprint);
     float edge = l.fine.a * 0.45 + l.clump.a * 0.25 + l.clump.r * 0.30;
-    float cut_at = mix(0.52, 0.28, clamp(facing * 1.7, 0.0, 1.0));
+    float cut_at = mix(0.52, 0.22, clamp(facing * 1.7, 0.0, 1.0));
     float soft = clamp(footprint * 1.5, 0.03, 0.4);
     float cut = smoothstep(cut_at - soft, cut_at + soft, edge);
     l.cover = mix(cut, 0.9 - 2.0 * max(cut_at - 0.4, 0.0), smoothstep(0.06, 0.2, footprint));

@@ -83,7 +83,7 @@ void main() {
     float mirror = fresnel(s.n, s.view, 0.045 + 0.02 * glass) * (1.0 - 0.6 * low);
     vec3 seen = surroundings(away, 0.02 + 0.23 * metal);
     vec3 radiance = tone * diffuse * (1.0 - 0.6 * metal);
-    radiance += seen * mix(vec3(mirror * (0.35 + 0.65 * open)), tone * 0.8, metal);
+    radiance += seen * mix(vec3(mirror * (0.35 + 0.65 * open) * (1.0 - 0.2 * glass)), tone * 0.8, metal);
     float power = mix(mix(600.0, 900.0, glass), 40.0, metal);
     vec3 highlight = mix(vec3(5.0), tone * 2.0, metal) * sun_highlight(s.n, s.view, power);
     highlight += paint * 0.3 * tone * sun_highlight(s.n, s.view, 24.0);
@@ -102,7 +102,7 @@ void main() {
     vec4 far = noise(uv + 11.0, 67.0, fp);
     float grain = near.b - 0.5, coarse = mid.b - 0.5, blotch = mid.r - 0.5, large = far.r - 0.5;
     float crack = (1.0 - smoothstep(0.02, 0.05 + fp * 0.3, mid.a)) * smoothstep(0.55, 0.85, far.g);
-    float gain = 1.0 + 0.85 * grain + 0.65 * coarse + 0.16 * blotch + 0.35 * large;
+    float gain = 1.0 + 0.85 * grain + 0.65 * coarse + 0.14 * blotch + 0.25 * large;
     vec3 albedo;
     if (v_material == 6) {            // marking: worn paint lets the road through
         float worn = near.r * 0.4 + near.b * 0.35 + mid.g * 0.25;
@@ -115,7 +115,7 @@ void main() {
         float fade = clamp(1.0 - fp * 9.0, 0.0, 1.0) * 0.35;
         albedo = v_colour * ((gain + 0.25 * (far.g - 0.5)) * (1.0 - fade * joint));
     } else {                          // asphalt: aggregate, mended patches, cracks
-        float mended = smoothstep(0.82, 0.83 + fp, far.r);
+        float mended = smoothstep(0.86, 0.87 + fp, far.r);
         albedo = v_colour * (gain * (1.0 - 0.28 * mended) * (1.0 - 0.6 * crack));
     }
     vec3 radiance = max(albedo, vec3(0.004)) * diffuse_light(v_world, s.n, 1.0);
@@ -154,9 +154,10 @@ void main() {
     Leaves l = leaves_at(v_model, v_seed, s.footprint, abs(dot(s.n, s.view)));
     if (l.cover < u_least_cover) discard;
     float leaf = l.fine.a - 0.45, grain = l.fine.b - 0.5, clump = l.clump.r - 0.5, broad = l.clump.g - 0.5;
-    vec3 n = normalize(s.n + vec3(grain, clump + 0.3 * leaf, leaf) * 1.6);
     float sprig = l.clump.a - 0.45, twig = l.clump.b - 0.5;
-    vec3 albedo = v_colour * max(1.0 + 1.0 * leaf + 1.0 * grain + 0.8 * sprig + 1.3 * twig + 0.7 * clump, 0.06);
+    vec3 n = normalize(s.n + vec3(grain + twig, clump + 0.5 * sprig, leaf - twig) * 1.7);
+    float gap = smoothstep(0.05, 0.55, l.fine.a * 0.5 + l.clump.a * 0.5);   // dark between sprigs
+    vec3 albedo = v_colour * max(1.1 + 0.8 * leaf + 1.2 * grain + 1.5 * twig + 0.8 * clump, 0.1) * (0.25 + 0.9 * gap);
     albedo *= vec3(1.0 + 0.5 * broad, 1.0 + 0.25 * broad, 1.0 - 0.2 * broad);
     vec3 light = diffuse_light(v_world, n, clamp(0.6 + 1.2 * clump + 0.6 * leaf + 0.5 * sprig, 0.12, 1.0));
     float through = max(dot(s.view, u_sun), 0.0);
