@@ -1,0 +1,47 @@
+"""Greedy suppression."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from runtime.nms import iou_one_to_many, non_maximum_suppression
+
+
+def test_no_boxes() -> None:
+    assert non_maximum_suppression(np.zeros((0, 4)), np.zeros(0), 0.5).shape == (0,)
+
+
+def test_overlap_of_known_boxes() -> None:
+    box = np.array([0.0, 0, 10, 10])
+    others = np.array([[0.0, 0, 10, 10], [5, 0, 15, 10], [20, 20, 30, 30], [3, 3, 3, 3]])
+    np.testing.assert_allclose(iou_one_to_many(box, others), [1, 1 / 3, 0, 0])
+
+
+def test_groups_do_not_suppress_each_other() -> None:
+    boxes = np.array([[0.0, 0, 10, 10], [0, 0, 10, 10], [1, 0, 11, 10]])
+    scores = np.array([0.9, 0.8, 0.7])
+    assert list(non_maximum_suppression(boxes, scores, 0.5)) == [0]
+    assert list(non_maximum_suppression(boxes, scores, 0.5, groups=np.array([0, 1, 0]))) == [0, 1]
+
+
+def test_equal_scores_keep_the_first() -> None:
+    boxes = np.array([[0.0, 0, 10, 10], [0, 0, 10, 10]])
+    assert list(non_maximum_suppression(boxes, np.array([0.5, 0.5]), 0.5)) == [0]
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(1, 40), st.integers(0, 2**31 - 1), st.sampled_from([0.3, 0.5, 0.7]))
+def test_idempotent_and_kept_boxes_are_apart(count: int, seed: int, iou: float) -> None:
+    rng = np.random.default_rng(seed)
+    lower = rng.uniform(0, 50, (count, 2))
+    boxes = np.concatenate([lower, lower + rng.uniform(1, 30, (count, 2))], axis=1)
+    scores = rng.uniform(0, 1, count)
+    kept = non_maximum_suppression(boxes, scores, iou)
+    assert scores[kept][0] == scores.max()
+    assert np.all(np.diff(scores[kept]) <= 0)
+    for position, index in enumerate(kept):
+        assert np.all(iou_one_to_many(boxes[index], boxes[kept[position + 1 :]]) <= iou)
+    again = non_maximum_suppression(boxes[kept], scores[kept], iou)
+    np.testing.assert_array_equal(again, np.arange(len(kept)))
