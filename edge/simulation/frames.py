@@ -64,7 +64,13 @@ def moment_of_seed(seed: int, geometry: StereoGeometry) -> Moment:
     layout: Layout = lay_out(seed, intrinsics=np.array(geometry.P2[:, :3]), size_wh=geometry.image_size_wh)
     rng = np.random.default_rng([seed, 2])
     surroundings = build_surroundings(
-        layout.road, layout.street, rng, objects=layout.objects, span_s_m=FRAME_SPAN_S_M, guard_views=True
+        layout.road,
+        layout.street,
+        rng,
+        objects=layout.objects,
+        screens=layout.screens,
+        span_s_m=FRAME_SPAN_S_M,
+        guard_views=True,
     )
     scene = assemble(surroundings, layout.objects, draw_light(rng), seed % 100_003)
     return Moment(scene, layout.objects, camera_pose(0.0, -layout.camera_height_m, 0.0, heading_rad=0.0))

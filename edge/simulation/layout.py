@@ -42,7 +42,8 @@ FloatArray = NDArray[np.float64]
 VEHICLES = ("Car", "Van", "Truck")
 ROAD_BEHIND_M, ROAD_AHEAD_M = 20, 170
 _GOLDEN = 0.6180339887498949
-_VISIBLE_RANGE = ((0.84, 1.0), (0.42, 0.78), (0.13, 0.38))  # wanted share seen, by occlusion level
+_VISIBLE_RANGE = ((0.82, 1.0), (0.40, 0.73), (0.12, 0.34))  # wanted share seen, by occlusion level
+_OCCLUSION_TILT = (1.0, 1.25, 1.1)  # some wanted occlusions cannot be arranged: ask for more of them
 _SMALLEST_LABEL_PX = 17.5
 _PARALLEL_RAD, _CROSSING_RAD = 0.40, 1.17
 _EGO = np.array([[-1.1, -3.0], [1.1, -3.0], [1.1, 3.2], [-1.1, 3.2]])
@@ -56,6 +57,7 @@ class Layout:
     street: Street
     camera_height_m: float
     objects: tuple[PlacedObject, ...]
+    screens: tuple[tuple[int, float], ...]  # (object index, share of it that scenery should hide)
 
 
 @dataclass(slots=True)
@@ -180,8 +182,9 @@ def lay_out(seed: int, *, intrinsics: FloatArray, size_wh: tuple[int, int]) -> L
     objects = [
         _finish(draft, index + 1, road=road, street=street, rng=rng) for index, draft in enumerate(search.drafts)
     ]
+    screens = search.unhidden()
     objects += _far_traffic(road, street, rng, first_id=len(objects) + 1)
-    return Layout(road, street, camera_height_m, tuple(objects))
+    return Layout(road, street, camera_height_m, tuple(objects), tuple(screens))
 
 
 def _draw_drafts(counts: NDArray[np.int64], rng: np.random.Generator, *, focal_px: float) -> list[_Draft]:
@@ -192,17 +195,14 @@ def _draw_drafts(counts: NDArray[np.int64], rng: np.random.Generator, *, focal_p
         appearance = tables[name][0]
         rows = appearance[appearance[:, 0] == crowd]
         rows = rows if rows[:, -1].sum() >= 20 else appearance
+        weights = rows[:, -1] * np.array(_OCCLUSION_TILT)[rows[:, 2]]
+        weights = weights / weights.sum()
         for _ in range(int(count)):
             size = draw_size(name, tables["statistics"], rng)
             farthest_m = focal_px * size[0] / _SMALLEST_LABEL_PX
-            while True:
-                _, depth_bin, occlusion, truncation, _ = rows[
-                    int(rng.choice(len(rows), p=rows[:, -1] / rows[:, -1].sum()))
-                ]
-                near = max(depth_bin * DEPTH_STEP_M, 1.0)
-                if near < farthest_m:
-                    break
-            far = min((depth_bin + 1) * DEPTH_STEP_M, farthest_m)
+            _, depth_bin, occlusion, truncation, _ = rows[int(rng.choice(len(rows), p=weights))]
+            far = min((depth_bin + 1) * DEPTH_STEP_M, farthest_m)  # what would be too small for a label comes nearer
+            near = max(min(depth_bin * DEPTH_STEP_M, far - DEPTH_STEP_M), 1.0)
             drafts.append(
                 _Draft(name, size, (float(near), float(max(far, near + 0.1))), int(occlusion), int(truncation))
             )
@@ -271,7 +271,7 @@ class _Search:
         self._set(index, best[1])
         self._refresh(range(len(self.drafts)))
 
-    def revise(self, rounds_per_object: int = 45) -> None:
+    def revise(self, rounds_per_object: int = 32) -> None:
         """Move objects about while that brings the frame nearer to what was drawn."""
         temperature = 0.05
         for step in range(rounds_per_object * len(self.drafts)):
@@ -300,6 +300,16 @@ class _Search:
             else:
                 self._restore(index, before)
                 self._outlines.hulls[index], self._outlines.boxes[index], self._outlines.distances[index] = saved
+
+    def unhidden(self) -> list[tuple[int, float]]:
+        """Objects that other objects hide less than was drawn, and the share that is still to be hidden."""
+        found = []
+        for index, draft in enumerate(self.drafts):
+            low, high = _VISIBLE_RANGE[draft.occlusion]
+            seen = self._outlines.visible_share(index)
+            if seen > high + 0.03:
+                found.append((index, float(1.0 - self._rng.uniform(low, high) / seen)))
+        return found
 
     def _pick(self, step: int) -> int:
         costs = np.array(self._cost)
@@ -332,13 +342,12 @@ class _Search:
         base = draft.base = self._base(draft)
         if footprints_overlap(base, _EGO):
             return False
-        reach = 0.5 * draft.size_hwl[2] + 9.0
         for other, neighbour in enumerate(self.drafts):
             if other == index or neighbour.base is None:
                 continue
-            if abs(neighbour.s - draft.s) < reach + 0.5 * neighbour.size_hwl[2] and footprints_overlap(
-                base, neighbour.base
-            ):
+            reach = 0.5 * (draft.size_hwl[2] + neighbour.size_hwl[2] + draft.size_hwl[1] + neighbour.size_hwl[1]) + 1.0
+            apart = abs(neighbour.s - draft.s) > reach or abs(neighbour.t - draft.t) > reach
+            if not apart and footprints_overlap(base, neighbour.base):
                 return False
         return True
 

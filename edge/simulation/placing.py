@@ -144,24 +144,35 @@ def footprints_overlap(first: FloatArray, second: FloatArray) -> bool:
     return True
 
 
-_OUTLINES: dict[str, FloatArray] = {
-    "Car": np.array([(0.5, -0.1, 0.42), (-0.5, -0.1, 0.45), (0.5, -0.5, 0.42), (-0.5, -0.6, 0.45), (0.12, -1.0, 0.36), (-0.34, -0.97, 0.36), (0.3, 0.0, 0.49), (-0.3, 0.0, 0.49)]),
-    "Van": np.array([(0.5, -0.1, 0.42), (-0.5, -0.1, 0.47), (0.5, -0.45, 0.42), (-0.5, -0.6, 0.47), (0.2, -1.0, 0.41), (-0.46, -1.0, 0.41), (0.3, 0.0, 0.49), (-0.3, 0.0, 0.49)]),
-    "Truck": np.array([(0.5, -0.12, 0.49), (-0.5, -0.12, 0.49), (0.5, -0.85, 0.49), (-0.5, -1.0, 0.49), (0.2, -1.0, 0.49), (0.3, 0.0, 0.49), (-0.3, 0.0, 0.49)]),
-    "Pedestrian": np.array([(0.45, 0.0, 0.2), (-0.45, 0.0, 0.2), (0.2, -0.55, 0.45), (-0.2, -0.55, 0.45), (0.15, -0.85, 0.4), (-0.15, -0.85, 0.4), (0.1, -1.0, 0.15), (-0.1, -1.0, 0.15)]),
-    "Cyclist": np.array([(0.45, 0.0, 0.05), (-0.45, 0.0, 0.05), (0.5, -0.2, 0.05), (-0.5, -0.2, 0.05), (0.25, -0.6, 0.45), (-0.2, -0.55, 0.25), (0.1, -1.0, 0.15), (-0.1, -1.0, 0.15)]),
+def _prism(low: tuple[float, ...], high: tuple[float, ...]) -> FloatArray:
+    """Corners (8, 3) between a lower and an upper rectangle, each (rear x, front x, y, half width z), model shares."""
+    corners = [
+        (x, y, side * half) for rear, front, y, half in (low, high) for x in (rear, front) for side in (-1.0, 1.0)
+    ]
+    return np.array(corners)
+
+
+_OUTLINES: dict[str, tuple[FloatArray, ...]] = {
+    "Car": (
+        _prism((-0.49, 0.49, -0.10, 0.46), (-0.49, 0.47, -0.50, 0.47)),
+        _prism((-0.47, 0.30, -0.50, 0.47), (-0.46, 0.22, -0.66, 0.46)),
+        _prism((-0.44, 0.22, -0.66, 0.45), (-0.28, 0.02, -0.99, 0.35)),
+    ),
+    "Van": (
+        _prism((-0.49, 0.49, -0.08, 0.47), (-0.49, 0.48, -0.45, 0.48)),
+        _prism((-0.49, 0.38, -0.45, 0.47), (-0.46, 0.22, -0.99, 0.41)),
+    ),
+    "Truck": (_prism((-0.49, 0.49, -0.16, 0.48), (-0.49, 0.49, -0.80, 0.48)), _prism((-0.49, 0.2, -0.80, 0.48), (-0.49, 0.2, -0.97, 0.48))),
+    "Pedestrian": (_prism((-0.3, 0.3, 0.0, 0.25), (-0.1, 0.1, -0.5, 0.3)), _prism((-0.25, 0.25, -0.45, 0.42), (-0.2, 0.2, -0.83, 0.40)), _prism((-0.13, 0.15, -0.83, 0.15), (-0.13, 0.15, -1.0, 0.13))),
+    "Cyclist": (_prism((-0.45, 0.45, 0.0, 0.04), (-0.45, 0.45, -0.35, 0.04)), _prism((-0.2, 0.15, -0.3, 0.2), (-0.2, 0.2, -0.62, 0.3)), _prism((-0.2, 0.25, -0.55, 0.36), (-0.05, 0.15, -0.98, 0.22))),
 }  # fmt: skip
 
 
 def silhouette_points(
     kind: str, size_hwl: tuple[float, float, float], location: FloatArray, yaw_rad: float
-) -> FloatArray:
-    """World points (P, 3) whose hull is about the object's outline."""
-    right = _OUTLINES[kind]
-    model = np.concatenate([right, right * np.array([1.0, 1.0, -1.0])]) * np.array(
-        [size_hwl[2], size_hwl[0], size_hwl[1]]
-    )
+) -> list[FloatArray]:
+    """World points (P, 3) of convex pieces whose union is about the object's outline."""
     cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
-    x = model[:, 0] * cos + model[:, 2] * sin
-    z = -model[:, 0] * sin + model[:, 2] * cos
-    return np.stack([x, model[:, 1], z], axis=1) + location
+    turn = np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
+    size = np.array([size_hwl[2], size_hwl[0], size_hwl[1]])
+    return [(piece * size) @ turn.T + location for piece in _OUTLINES[kind]]

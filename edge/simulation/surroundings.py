@@ -14,6 +14,7 @@ from edge.simulation.scenery import buildings, furniture, ground, plants
 
 FloatArray = NDArray[np.float64]
 _COARSE_BEYOND_M = 45.0
+_EYE_M = 1.66
 _SIDE_MIX = {
     "city": {"city": 0.75, "park": 0.15, "road": 0.1},
     "residential": {"residential": 0.75, "park": 0.15, "city": 0.1},
@@ -37,6 +38,7 @@ def build_surroundings(
     rng: np.random.Generator,
     *,
     objects: tuple[PlacedObject, ...],
+    screens: tuple[tuple[int, float], ...] = (),
     span_s_m: tuple[float, float],
     guard_views: bool,
 ) -> Surroundings:
@@ -46,6 +48,7 @@ def build_surroundings(
         road, street: the street.
         rng: source of chance.
         objects: what must stay free.
+        screens: (index into objects, share of it to hide behind a trunk, a bush, a post or a box).
         span_s_m: stations between which scenery stands.
         guard_views: keep large things out of the lines of sight from the origin to the objects.
     """
@@ -65,6 +68,8 @@ def build_surroundings(
     )
     world.instances.append(Instance("ground", np.eye(4), texture_seed=float(rng.uniform(0, 100))))
     planter = _Planter(world, road, street, rng, objects=objects if guard_views else (), span_s_m=span_s_m)
+    for index, share in screens:
+        planter.screen(objects[index], share)
     for side in (1.0, -1.0):
         mix = _SIDE_MIX[street.kind]
         planter.plant_side(side, str(rng.choice(list(mix), p=list(mix.values()))))
@@ -143,6 +148,60 @@ class _Planter:
         enter = np.nanmax(np.minimum(low, high), axis=1)
         leave = np.nanmin(np.maximum(low, high), axis=1)
         return bool(((enter < leave) & (enter < 1.0) & (leave > 0.0)).any())
+
+    def screen(self, item: PlacedObject, share: float) -> bool:
+        """Put something beside the carriageway so that it hides about a share of an object as seen from the origin."""
+        rng = self._rng
+        away = float(np.hypot(item.location[0], item.location[2]))
+        bearing = float(np.arctan2(item.location[0], item.location[2]))
+        view = item.yaw_rad - bearing
+        apparent = abs(np.cos(view)) * item.size_hwl[2] + abs(np.sin(view)) * item.size_hwl[1]
+        for _ in range(40):
+            name, mesh, width, height = self._screen_kind()
+            nearness = float(rng.uniform(0.25, 0.92))
+            if nearness * away > away - 0.5 * item.size_hwl[2] - 1.0:
+                continue
+            covered_height = (_EYE_M + (height - _EYE_M) / nearness) / item.size_hwl[0]
+            need = share / float(np.clip(covered_height, 1e-3, 1.0))
+            half_object, half_screen = 0.5 * apparent * nearness, 0.5 * width
+            if covered_height <= 0.3 or need > 1.0 or half_screen < need * half_object:
+                continue
+            offset = float(rng.choice([-1.0, 1.0])) * (half_object + half_screen - 2.0 * need * half_object)
+            x = nearness * away * np.sin(bearing) + offset * np.cos(bearing)
+            z = nearness * away * np.cos(bearing) - offset * np.sin(bearing)
+            s, t = self._road.to_road(float(x), float(z))
+            if self._street.left_edge_m - 0.3 < t < self._street.right_edge_m + 0.3 or self._blocked_by_junction(
+                s, 0.5
+            ):
+                continue
+            turn = bearing - float(self._road.heading_at(s))
+            if self.put(name, mesh, s=s, t=t, turn_rad=turn, size_wd=(max(width, 0.4), 0.5), guard=False):
+                return True
+        return False
+
+    def _screen_kind(self) -> tuple[str, Mesh, float, float]:
+        """A name, a mesh, its width across the view and its height."""
+        rng = self._rng
+        kind = int(rng.integers(6))
+        if kind in (0, 1):
+            index = int(rng.integers(plants.TREE_COUNT))
+            return f"tree/{index}/False", plants.tree(index), 2.0 * plants.trunk_radius_m(index), 8.0
+        if kind == 2:
+            index = int(rng.integers(plants.BUSH_COUNT))
+        elif kind == 3:
+            index = int(rng.integers(plants.HEDGE_COUNT))
+            mesh = plants.hedge(index)
+            return f"hedge/{index}", mesh, plants.HEDGE_LENGTH_M, float(-mesh.positions[:, 1].min())
+        elif kind == 4:
+            index = int(rng.integers(9))
+            mesh = furniture.bin_or_box(index)
+            extent = mesh.positions.max(axis=0) - mesh.positions.min(axis=0)
+            return f"bin/{index}", mesh, float(extent[0]), float(extent[1])
+        else:
+            return "mast", furniture.mast(), 0.24, 8.0
+        mesh = plants.bush(index)
+        extent = mesh.positions.max(axis=0) - mesh.positions.min(axis=0)
+        return f"bush/{index}", mesh, 0.85 * float(extent[0]), 0.9 * float(extent[1])
 
     def plant_side(self, side: float, kind: str) -> None:
         """Fill one side of the street in the manner of ``kind``."""

@@ -19,20 +19,22 @@ class Outlines:
         self._intrinsics = intrinsics
         self._size_wh = size_wh
         self._camera_y = -camera_height_m
-        self.hulls: list[FloatArray] = []
+        self.hulls: list[list[FloatArray]] = []  # convex pieces of each object
         self.boxes: list[FloatArray] = []  # unclipped x1 y1 x2 y2
         self.distances: list[float] = []
 
-    def project(self, points: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-        """Hull pixels (H, 2), unclipped box (4,), distance of world points (P, 3)."""
+    def project(self, pieces: list[FloatArray]) -> tuple[list[FloatArray], FloatArray, float]:
+        """Hull pixels (H, 2) of each piece, unclipped box (4,) and distance of an object's pieces (P, 3)."""
+        points = np.concatenate(pieces)
         depth = np.maximum(points[:, 2], _NEAR_M)
         focal_x, focal_y = self._intrinsics[0, 0], self._intrinsics[1, 1]
         u = focal_x * points[:, 0] / depth + self._intrinsics[0, 2]
         v = focal_y * (points[:, 1] - self._camera_y) / depth + self._intrinsics[1, 2]
-        pixels = np.stack([u, v], axis=1).astype(np.float32)
-        hull = cv2.convexHull(pixels)[:, 0].astype(np.float64)
-        box = np.concatenate([hull.min(axis=0), hull.max(axis=0)])
-        return hull, box, float(np.hypot(points[:, 0], points[:, 2]).mean())
+        pixels = np.stack([u, v], axis=1)
+        ends = np.cumsum([len(piece) for piece in pieces])[:-1]
+        hulls = [cv2.convexHull(part.astype(np.float32))[:, 0].astype(np.float64) for part in np.split(pixels, ends)]
+        box = np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
+        return hulls, box, float(np.hypot(points[:, 0], points[:, 2]).mean())
 
     def truncation(self, box: FloatArray) -> float:
         """Share of an unclipped box outside the image."""
@@ -64,9 +66,10 @@ class Outlines:
         return [index for index, own in enumerate(self.boxes) if any(_touch(own, box[:2], box[2:]) for box in boxes)]
 
     @staticmethod
-    def _fill(canvas: NDArray[np.uint8], hull: FloatArray, *, low: FloatArray, scale: float, value: int) -> None:
-        corners = np.clip((hull - low) * scale, -1000, 1000) - 0.5
-        cv2.fillConvexPoly(canvas, np.round(corners * (1 << _SHIFT)).astype(np.int32), value, shift=_SHIFT)
+    def _fill(canvas: NDArray[np.uint8], hulls: list[FloatArray], *, low: FloatArray, scale: float, value: int) -> None:
+        for hull in hulls:
+            corners = np.clip((hull - low) * scale, -1000, 1000) - 0.5
+            cv2.fillConvexPoly(canvas, np.round(corners * (1 << _SHIFT)).astype(np.int32), value, shift=_SHIFT)
 
 
 def _touch(box: FloatArray, low: FloatArray, high: FloatArray) -> bool:

@@ -37,6 +37,15 @@ def _shade(colour: Rgb, rng: np.random.Generator) -> Rgb:
     return float(red), float(green), float(blue)
 
 
+def _stem_radius_m(height_m: float) -> float:
+    return 0.012 * height_m + 0.06
+
+
+def trunk_radius_m(index: int) -> float:
+    """Radius of a tree's stem at breast height."""
+    return _stem_radius_m(float(np.random.default_rng([_LIBRARY_SEED, 1, index]).uniform(6.0, 13.0)))
+
+
 @lru_cache(maxsize=None)
 def tree(index: int, coarse: bool = False) -> Mesh:
     """A leafy tree of 6 to 13 m with a clear stem."""
@@ -46,7 +55,7 @@ def tree(index: int, coarse: bool = False) -> Mesh:
     spread = float(rng.uniform(0.26, 0.42)) * height
     green = _GREENS[index % len(_GREENS)]
     bark = _BARKS[int(rng.integers(3))]
-    thick = 0.012 * height + 0.06
+    thick = _stem_radius_m(height)
     lean = rng.normal(0.0, 0.12, 2)
     parts = [
         tube(
