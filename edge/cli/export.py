@@ -4,9 +4,15 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from runtime.contracts.manifest import Manifest
+    from runtime.sources.base import FrameSequence
 
 DEFAULT_FRAMES = 3
 
@@ -95,7 +101,7 @@ def export_command(
     console.print(f"wrote {out}")
 
 
-def _feeds(recording, manifest, count: int) -> list[dict]:  # type: ignore[no-untyped-def, type-arg]
+def _feeds(recording: FrameSequence, manifest: Manifest, count: int) -> list[dict[str, NDArray[Any]]]:
     """The graph's inputs of ``count`` frames spread over a recording."""
     import numpy as np
 

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from runtime.native import library
 from runtime.native.build import BuildError, build, find_compiler
 from runtime.native.library import library_path
 
@@ -24,9 +25,7 @@ def native_library() -> ctypes.CDLL:
         except BuildError as error:
             pytest.skip(str(error))
         pytest.fail("the native library is not built; run python -m runtime.native.build")
-    library = ctypes.CDLL(str(path))
-    library.EdgeStereoInstructionSet.restype = ctypes.c_char_p
-    return library
+    return ctypes.CDLL(str(path))
 
 
 @pytest.fixture(params=INSTRUCTION_SETS)
@@ -35,7 +34,7 @@ def instruction_set(
 ) -> str:
     """Each instruction set in turn; those that this machine lacks are skipped."""
     monkeypatch.setenv("EDGE_NATIVE_ISA", request.param)
-    if native_library.EdgeStereoInstructionSet() is None:
+    if library.instruction_set() is None:
         pytest.skip(f"this machine does not run {request.param}")
     return str(request.param)
 
