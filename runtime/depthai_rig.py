@@ -2,8 +2,9 @@
 
 What is assumed, as depthai's stereo node does it with its defaults: both rectified images have the
 intrinsics of the right camera; the baseline is the calibrated translation between the two (not the one from
-the drawing), in centimetres; the rectified left camera is the reference frame. A stream of another shape
-than the calibration's image is scaled to cover the stream and cut around its centre.
+the drawing), in centimetres; the rectified left camera is the reference frame. A stream of a wider shape than the calibration's image is
+scaled to its width and cut evenly above and below; a taller shape is refused, since depthai's calibration and its
+cameras disagree on what that means.
 """
 
 from __future__ import annotations
@@ -68,11 +69,20 @@ def rectified_geometry(intrinsics: FloatArray, baseline_m: float, image_size_wh:
 
 
 def fit_intrinsics(intrinsics: FloatArray, from_size_wh: tuple[int, int], to_size_wh: tuple[int, int]) -> FloatArray:
-    """Intrinsics after scaling an image to cover another size and cutting evenly what stands over."""
-    factor = max(to_size_wh[0] / from_size_wh[0], to_size_wh[1] / from_size_wh[1])
+    """Intrinsics after scaling an image to another width and cutting rows evenly above and below.
+
+    Raises:
+        FormatError: the other size is taller in shape.
+    """
+    factor = to_size_wh[0] / from_size_wh[0]
+    surplus_rows = from_size_wh[1] * factor - to_size_wh[1]
+    if surplus_rows < -1.0:  # a rounded height may be half a row too tall
+        raise FormatError(
+            f"images are {to_size_wh[0]}x{to_size_wh[1]} and the calibration is for {from_size_wh[0]}x{from_size_wh[1]}, "
+            "expected the same shape or a wider one; use a smaller height"
+        )
     fitted = np.diag([factor, factor, 1.0]) @ intrinsics
-    fitted[0, 2] -= (from_size_wh[0] * factor - to_size_wh[0]) / 2
-    fitted[1, 2] -= (from_size_wh[1] * factor - to_size_wh[1]) / 2
+    fitted[1, 2] -= surplus_rows / 2
     return fitted
 
 

@@ -85,7 +85,10 @@ def parse_geometry(data: dict[str, Any], *, where: str = "geometry") -> StereoGe
         P2, P3 = (np.array(data[name], dtype=np.float64) for name in ("P2", "P3"))
     except (TypeError, ValueError):
         raise FormatError(f"{where}: P2 or P3 is no table of numbers, expected 3 rows of 4; mend the file") from None
-    return StereoGeometry(P2, P3, (size[0], size[1]))
+    try:
+        return StereoGeometry(P2, P3, (size[0], size[1]))
+    except FormatError as error:
+        raise FormatError(f"{where}: {error}") from None
 
 
 def format_geometry(geometry: StereoGeometry) -> str:
