@@ -51,6 +51,7 @@ def export_command(
     from edge.detector.network import StereoDetector
     from edge.detector.presets import preset as find_preset
     from edge.detector.weights import load_weights
+    from edge.samples import calibration_source
     from edge.zoo.card import model_card
     from edge.zoo.priors import find_priors
     from export.package import write_model_directory
@@ -71,7 +72,7 @@ def export_command(
     network: nn.Module = detector.eval()
     if input_type is InputType.UINT8:
         network = FromPixels(detector, mean=manifest.normalisation.mean, std=manifest.normalisation.std).eval()
-    with open_sequence(source or _bundled_recording()) as recording:
+    with open_sequence(source or calibration_source()) as recording:
         feeds = _feeds(recording, manifest, frames)
 
     with console.status("exporting"):
@@ -112,19 +113,3 @@ def _feeds(recording: FrameSequence, manifest: Manifest, count: int) -> list[dic
         frame = recording[int(index)]
         feeds.append(prepare(frame, network_view(frame.geometry, manifest), manifest))
     return feeds
-
-
-def _bundled_recording() -> str:
-    """URI of the first drive in ``edge/samples``, in tracking layout."""
-    from importlib.resources import files
-
-    from runtime.contracts.errors import SourceError
-
-    samples = files("edge").joinpath("samples")
-    drives = sorted(
-        (item for item in samples.iterdir() if item.joinpath("training").is_dir()) if samples.is_dir() else (),
-        key=lambda item: item.name,
-    )
-    if not drives:
-        raise SourceError("no --source: found no bundled recording; expected frames to compare on; name a --source")
-    return f"kitti-tracking:{drives[0]}"
