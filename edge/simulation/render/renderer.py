@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from types import TracebackType
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,16 @@ from runtime.contracts.errors import FrameError
 COVER_LIMIT_M = 2.2  # what stands higher shades the ground no more than this would
 # Colour is drawn once for each sample, the picture shifted by so many pixels, and averaged. On a CPU two whole
 # drawings cost half of what 4-sample multisampling does. A sample keeps leaves that cover at least the share.
-_COLOUR_SAMPLES = (((0.25, -0.25), 0.25), ((-0.25, 0.25), 0.75))
+_COLOUR_SAMPLES = {
+    1: (((0.0, 0.0), 0.5),),
+    2: (((0.25, -0.25), 0.25), ((-0.25, 0.25), 0.75)),
+    4: (
+        ((0.125, 0.375), 0.125),
+        ((-0.125, -0.375), 0.375),
+        ((0.375, -0.125), 0.625),
+        ((-0.375, 0.125), 0.875),
+    ),
+}
 _OVERCAST_SUN_SHARE = 0.06
 _AIR_SHARE = 0.8  # of the horizon's radiance, in haze
 _DOME_SHARE = 0.75  # streets see less than the whole sky
@@ -41,16 +51,19 @@ class Renderer:
     Several renderers may be open at once: each call makes its own context current while it runs.
     """
 
-    def __init__(self, size_wh: tuple[int, int]) -> None:
+    def __init__(self, size_wh: tuple[int, int], *, colour_samples: Literal[1, 2, 4] = 2) -> None:
         """Open the context.
 
         Args:
             size_wh: picture size in pixels; every camera drawn must have it.
+            colour_samples: colours averaged a pixel; 1 is fast and jagged, 4 smooth. Ids and depth are always
+                taken at the pixel centre.
 
         Raises:
             MissingExtraError: no moderngl or no EGL; the message says what to install.
         """
         self._size_wh = size_wh
+        self._samples = _COLOUR_SAMPLES[colour_samples]
         self._context = open_context()
         self._programs = Programs(self._context)
         self._targets = Targets(self._context, size_wh)
@@ -255,7 +268,7 @@ class Renderer:
         self._targets.colour.use()
         self._context.enable_only(self._context.DEPTH_TEST)
         self._drawer.faces_out(clockwise=True)
-        for shift_px, least_cover in _COLOUR_SAMPLES:
+        for shift_px, least_cover in self._samples:
             self._targets.colour.clear(depth=1.0)
             clip = projection.clip_from_world(camera, origin, shift_px=shift_px)
             self._programs.set_all(u_clip_from_world=clip, u_least_cover=least_cover)
@@ -268,7 +281,7 @@ class Renderer:
             self._sky.render(vertices=3)
             self._context.depth_func = "<"
             total += self._targets.read_radiance()
-        total *= np.float32(1.0 / len(_COLOUR_SAMPLES))
+        total *= np.float32(1.0 / len(self._samples))
         return total
 
     def _identity_of(

@@ -22,6 +22,7 @@ CAMERA_HEIGHT_M = 1.65
 BASELINE_M = 0.5
 DEPTH_TOLERANCE = 1e-4  # relative; depth passes through float32 clip coordinates
 STEREO_TOLERANCE = 0.06  # relative; haze, gloss and detail level follow the eye, which moves between the views
+SAMPLING_TOLERANCE = 0.01  # relative; a pixel's samples lie within half a pixel of its centre
 
 
 @pytest.fixture(scope="module")
@@ -176,6 +177,21 @@ def _assert_same(ours: tuple[RenderedView, ...], theirs: tuple[RenderedView, ...
         assert a.radiance.tobytes() == b.radiance.tobytes()
         assert a.object_id.tobytes() == b.object_id.tobytes()
         assert a.depth_m.tobytes() == b.depth_m.tobytes()
+
+
+def test_colour_samples_soften_edges_and_move_nothing(renderer: Renderer) -> None:
+    scene, camera = _box_before_ground(0.37, 7.0), _camera()
+    views = []
+    for samples in (1, 2, 4):
+        with Renderer((WIDTH, HEIGHT), colour_samples=samples) as sampled:
+            views.append(sampled.render(scene, camera))
+    assert (views[0].object_id == 7).any()
+    for view in views[1:]:
+        assert view.object_id.tobytes() == views[0].object_id.tobytes()
+        assert view.depth_m.tobytes() == views[0].depth_m.tobytes()
+        assert (view.radiance != views[0].radiance).any()
+        # the brightness of the picture as a whole stays: samples lie evenly around the pixel centre
+        np.testing.assert_allclose(view.radiance.mean(), views[0].radiance.mean(), rtol=SAMPLING_TOLERANCE)
 
 
 def test_far_from_the_worlds_origin_nothing_moves(renderer: Renderer) -> None:
