@@ -19,10 +19,11 @@ from runtime.contracts.manifest import (
     Thresholds,
     open_model_directory,
 )
+from runtime.model_folder import replaced_directory
 
 onnx = pytest.importorskip("onnx")
 pytest.importorskip("torch")
-from export.package import replaced_directory, write_model_directory  # noqa: E402
+from export.package import write_model_directory  # noqa: E402
 
 pytestmark = pytest.mark.torch
 
