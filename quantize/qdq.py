@@ -46,7 +46,7 @@ from runtime.contracts.correlation import (
 
 ChannelExtremes = Mapping[str, tuple[NDArray[np.float32], NDArray[np.float32]]]
 _PRODUCER = "edge quantize"
-_MIDDLE = 128
+_MIDDLE = {"uint8": 128, "int8": 0}
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,17 +213,18 @@ class _Writer:
         ]
         count = low.size // columns
         steps = np.tile(np.array([item.scale for item in by_column], np.float64), count)
-        zero_points = np.tile(np.array([item.zero_point for item in by_column], np.uint8), count)
+        zero_points = np.tile(np.array([item.zero_point for item in by_column], self._recipe.activation_type), count)
 
         copy = _copy(node)
         copy.input[0] = self._dequantised(node.input[0])
-        shift = steps * (zero_points.astype(np.float64) - _MIDDLE)
+        middle_level = _MIDDLE[self._recipe.activation_type]
+        shift = steps * (zero_points.astype(np.float64) - middle_level)
         self._quantise_weights(copy, self._params[node.input[0]].scale, output_steps=steps, shift=shift)
         copy.output[0] = f"{result}_steps"
         self._nodes.append(copy)
         unit, middle = (
             self._constant("one_step", np.array(1, np.float32)),
-            self._constant("middle_level", np.array(_MIDDLE, np.uint8)),
+            self._constant("middle_level", np.array(middle_level, self._recipe.activation_type)),
         )
         self._add("QuantizeLinear", [copy.output[0], unit, middle], f"{result}_q")
         scale = self._constant(f"{result}_column_scale", steps.astype(np.float32))

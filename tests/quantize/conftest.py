@@ -16,6 +16,7 @@ DISPARITIES = 6
 SHIFTS = 3
 CELLS_HW = (2, 4)
 ANCHORS = 48
+HEAD_GAIN = np.float32(0.1)  # deltas of the size of a trained network's
 
 
 class ToyWriter:
@@ -107,6 +108,8 @@ def make_toy_model() -> onnx.ModelProto:
     for output, columns in (("cls_logits", 4), ("box_deltas", 12)):
         hidden = write.relu(write.conv(features, f"{output}.hidden", (16, 24, 3, 3), pads=[1, 1, 1, 1]))
         last = write.conv(hidden, f"{output}.last", (ANCHORS * columns, 16, 3, 3), pads=[1, 1, 1, 1])
+        for part in ("weight", "bias"):
+            write.constants[f"{output}.last.{part}"] *= HEAD_GAIN
         turned = write.node("Transpose", [last], f"{output}.turned", perm=[0, 2, 3, 1])
         shape = write.constant(f"{output}.shape", np.array([1, -1, columns], np.int64))
         write.node("Reshape", [turned, shape], output)

@@ -1,0 +1,188 @@
+"""A float model directory to an INT8 one, and what can be wrong with the frames."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("onnx")
+
+from quantize.errors import QuantizeError
+from quantize.recipe import recipe_for_target
+from quantize.sensitivity import layer_noise, own_noise
+from quantize.static import build, calibrate, int8_share, prepare_model, write_directory
+from runtime.contracts.errors import FrameError, RigError, SourceError
+from runtime.contracts.manifest import open_model_directory
+from runtime.detector import open_detector
+from runtime.sources.factory import open_source
+
+FRAMES = 3
+MIN_LAYER_SNR_DB = 15.0
+"""Single layers scatter around the outputs' 25 dB and more; a wrong scale leaves none or negative."""
+
+
+@pytest.fixture
+def cache_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    folder = tmp_path / "cache"
+    monkeypatch.setenv("XDG_CACHE_HOME", str(folder))
+    return folder
+
+
+@pytest.fixture
+def prepared(toy_directory: Path):
+    return prepare_model(open_model_directory(toy_directory), recipe_for_target("x86-vnni"))
+
+
+@pytest.fixture
+def calibration(prepared, busy_drive: Path, cache_home: Path):
+    with open_source(f"kitti-object:{busy_drive}") as source:
+        return calibrate(prepared, source, FRAMES, name="drive")
+
+
+@pytest.fixture
+def busy_drive(tiny_drive: Path) -> Path:
+    """The tiny drive with something to see in every picture."""
+    import cv2
+
+    random = np.random.default_rng(3)
+    for folder in ("image_2", "image_3"):
+        for path in sorted((tiny_drive / "training" / folder).iterdir()):
+            coarse = random.integers(0, 256, (8, 16, 3)).astype(np.uint8)
+            assert cv2.imwrite(str(path), cv2.resize(coarse, (128, 64), interpolation=cv2.INTER_CUBIC))
+    return tiny_drive
+
+
+def test_a_model_directory_comes_out_that_detects(prepared, calibration, toy_directory, busy_drive, tmp_path) -> None:
+    (toy_directory / "card.md").write_text("# Toy\n\nData: none.\n", encoding="utf-8")
+    out = tmp_path / "made" / "int8"
+    graph = build(prepared, calibration.observation, "mse")
+    written = write_directory(prepared, graph, calibration, out, method="mse")
+    assert written.manifest.recipe == "static_wi8_au8_x86_vnni"
+    facts = written.manifest.provenance
+    assert facts["calibration_frames"] == "000000 000002 000003"
+    assert facts["calibration_pixels_sha256"] == calibration.frames.digest
+    assert facts["given_back_to_float"] == "none"
+    assert {"onnx", "onnxruntime", "python"} <= set(written.manifest.tools)
+    assert (out / "priors.npz").read_bytes() == (toy_directory / "priors.npz").read_bytes()
+    card = (out / "card.md").read_text(encoding="utf-8")
+    assert card.startswith("# Toy")
+    assert "## INT8" in card
+    assert sorted(path.name for path in out.parent.iterdir()) == ["int8"], "nothing is left beside it"
+    assert sorted(path.name for path in out.iterdir()) == ["card.md", "manifest.json", "model.onnx", "priors.npz"]
+    with open_source(f"kitti-object:{busy_drive}") as source, open_detector(out) as detector:
+        detections, _ = detector(source[0])
+        assert np.isfinite(detections.center_in_camera).all()
+
+
+def test_the_same_run_gives_the_same_bytes(prepared, calibration) -> None:
+    models = [build(prepared, calibration.observation, "percentile").model for _ in range(2)]
+    assert models[0].SerializeToString(deterministic=True) == models[1].SerializeToString(deterministic=True)
+
+
+def test_the_cache_gives_what_the_run_gave(prepared, busy_drive, cache_home) -> None:
+    with open_source(f"kitti-object:{busy_drive}") as source:
+        first = calibrate(prepared, source, FRAMES, name="drive")
+        again = calibrate(prepared, source, FRAMES, name="drive")
+        fewer = calibrate(prepared, source, FRAMES - 1, name="drive")
+        without = calibrate(prepared, source, FRAMES, name="drive", use_cache=False)
+    assert [item.from_cache for item in (first, again, fewer, without)] == [False, True, False, False]
+    for method in ("minmax", "percentile", "mse", "entropy"):
+        assert (
+            first.observation.ranges(method) == again.observation.ranges(method) == without.observation.ranges(method)
+        )
+    for name, (low, high) in first.observation.channels.items():
+        np.testing.assert_array_equal(again.observation.channels[name][0], low)
+        np.testing.assert_array_equal(again.observation.channels[name][1], high)
+    assert not list(cache_home.rglob("*.tmp"))
+
+
+def test_without_the_cache_nothing_is_written_there(prepared, busy_drive, cache_home) -> None:
+    with open_source(f"kitti-object:{busy_drive}") as source:
+        calibrate(prepared, source, FRAMES, name="drive", use_cache=False)
+    assert not cache_home.exists()
+
+
+def test_changed_pixels_miss_the_cache(prepared, busy_drive, cache_home) -> None:
+    import cv2
+
+    with open_source(f"kitti-object:{busy_drive}") as source:
+        calibrate(prepared, source, FRAMES, name="drive")
+    path = next((busy_drive / "training" / "image_2").iterdir())
+    assert cv2.imwrite(str(path), 255 - cv2.imread(str(path)))
+    with open_source(f"kitti-object:{busy_drive}") as source:
+        assert not calibrate(prepared, source, 4, name="drive").from_cache
+
+
+def test_every_layer_is_close_to_its_float_twin(prepared, calibration, toy_feeds) -> None:
+    graph = build(prepared, calibration.observation, "minmax")
+    noise = layer_noise(prepared, graph, lambda: toy_feeds[:2])
+    assert {item.node for item in noise} == set(prepared.products)
+    assert min(item.snr_db for item in noise) > MIN_LAYER_SNR_DB
+    assert sum(item.multiply_adds for item in noise) == sum(prepared.products.values())
+
+
+def test_the_layer_made_worst_is_ranked_worst(prepared, calibration, toy_feeds) -> None:
+    """Ranges of one tensor a hundred times too wide: the layer behind it causes the noise."""
+    tensor = prepared.placement.outputs["stereo"][0]
+    statistics = calibration.observation.tensors[tensor]
+    wide = dataclasses.replace(statistics, maximum=100 * statistics.maximum)
+    spoilt = dataclasses.replace(calibration.observation, tensors={**calibration.observation.tensors, tensor: wide})
+    ranked = own_noise(prepared, spoilt, "minmax", toy_feeds[:1])
+    assert ranked[0].node == "stereo"
+    assert [item.snr_db for item in ranked] == sorted(item.snr_db for item in ranked)
+
+
+def test_share_of_multiply_adds(prepared) -> None:
+    assert int8_share(prepared) == 1.0
+    costs = prepared.products
+    rest = int8_share(prepared, ["stem", "volume"])
+    assert rest == pytest.approx(1 - (costs["stem"] + costs["volume"]) / sum(costs.values()))
+
+
+def test_a_quantised_model_is_refused(prepared, calibration, tmp_path) -> None:
+    graph = build(prepared, calibration.observation, "mse")
+    written = write_directory(prepared, graph, calibration, tmp_path / "int8", method="mse")
+    with pytest.raises(QuantizeError, match="float32"):
+        prepare_model(written, prepared.recipe)
+
+
+def test_a_model_without_convolutions_is_refused(tiny_model) -> None:
+    with pytest.raises(QuantizeError, match="with constant weights"):
+        prepare_model(open_model_directory(tiny_model), recipe_for_target("x86-vnni"))
+
+
+def test_the_float_model_is_not_overwritten(prepared, calibration, toy_directory) -> None:
+    graph = build(prepared, calibration.observation, "mse")
+    before = (toy_directory / "model.onnx").read_bytes()
+    with pytest.raises(QuantizeError, match="another place"):
+        write_directory(prepared, graph, calibration, toy_directory, method="mse")
+    assert (toy_directory / "model.onnx").read_bytes() == before
+
+
+def test_frames_of_another_rig_are_refused(prepared, busy_drive, cache_home) -> None:
+    for path in (busy_drive / "training" / "calib").iterdir():
+        text = path.read_text(encoding="utf-8")
+        path.write_text(text.replace("2.000000000000e+02", "4.000000000000e+02"), encoding="utf-8")
+    with open_source(f"kitti-object:{busy_drive}") as source, pytest.raises(RigError, match="focal length"):
+        calibrate(prepared, source, FRAMES, name="drive")
+
+
+def test_no_frames_and_one_view_are_refused(prepared, busy_drive, cache_home) -> None:
+    with pytest.raises(SourceError, match="found no frames"):
+        calibrate(prepared, [], FRAMES, name="nothing")
+    with (
+        open_source(f"kitti-object:{busy_drive}?views=left") as source,
+        pytest.raises(FrameError, match="no right image"),
+    ):
+        calibrate(prepared, source, FRAMES, name="drive")
+
+
+def test_fewer_frames_than_wanted_are_said(prepared, busy_drive, cache_home) -> None:
+    told: list[str] = []
+    with open_source(f"kitti-object:{busy_drive}") as source:
+        calibration = calibrate(prepared, source, 100, name="drive", warn=told.append)
+    assert len(calibration.frames.frames) == 4
+    assert any("4 frames, 100 were wanted" in line for line in told)
