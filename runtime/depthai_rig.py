@@ -1,9 +1,9 @@
 """A depthai calibration JSON to the geometry of its rectified pair, without depthai.
 
-What is assumed, as depthai's stereo node does it with its defaults: both rectified images have the
-intrinsics of the right camera; the baseline is the calibrated translation between the two (not the one from
-the drawing), in centimetres; the rectified left camera is the reference frame. A stream of a wider shape than the calibration's image is
-scaled to its width and cut evenly above and below; a taller shape is refused, since depthai's calibration and its
+What is assumed, as depthai's stereo node does it with its defaults: both rectified images have the intrinsics of the
+right camera; the baseline is the calibrated translation between the two (not the one from the drawing), in
+centimetres; the rectified left camera is the reference frame. A stream of a wider shape than the calibration's image
+is scaled to its width and cut evenly above and below; a taller shape is refused, since depthai's calibration and its
 cameras disagree on what that means.
 """
 
@@ -78,8 +78,8 @@ def fit_intrinsics(intrinsics: FloatArray, from_size_wh: tuple[int, int], to_siz
     surplus_rows = from_size_wh[1] * factor - to_size_wh[1]
     if surplus_rows < -1.0:  # a rounded height may be half a row too tall
         raise FormatError(
-            f"images are {to_size_wh[0]}x{to_size_wh[1]} and the calibration is for {from_size_wh[0]}x{from_size_wh[1]}, "
-            "expected the same shape or a wider one; use a smaller height"
+            f"images are {to_size_wh[0]}x{to_size_wh[1]} and the calibration is for "
+            f"{from_size_wh[0]}x{from_size_wh[1]}, expected that shape or a wider one; use a smaller height"
         )
     fitted = np.diag([factor, factor, 1.0]) @ intrinsics
     fitted[1, 2] -= surplus_rows / 2
