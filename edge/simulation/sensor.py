@@ -51,7 +51,7 @@ class SensorModel:
     black_level: float = 3.0
     saturation: float = 0.9
     vignetting: float = 0.15
-    blur_px: float = 0.5
+    blur_px: float = 0.45
     sharpening: float = 0.0
     shot_noise: float = 1.5e-4
     read_noise: float = 1.5e-3
@@ -77,8 +77,8 @@ def draw_sensor(rng: np.random.Generator) -> StereoSensor:
         black_level=float(rng.uniform(0.0, 6.0)),
         saturation=float(rng.uniform(0.7, 1.1)),
         vignetting=float(rng.uniform(0.05, 0.35)),
-        blur_px=float(rng.uniform(0.35, 0.75)),
-        sharpening=float(max(rng.uniform(-0.3, 0.5), 0.0)),
+        blur_px=float(rng.uniform(0.3, 0.6)),
+        sharpening=float(max(rng.uniform(-0.2, 0.6), 0.0)),
         shot_noise=float(3.0e-4 * noisy),
         read_noise=float(2.5e-3 * noisy),
     )

@@ -79,11 +79,12 @@ vec2 planar(vec3 p, vec3 n) {
 FOLIAGE_COVER = """
 struct Leaves { vec4 fine; vec4 clump; float cover; };
 // cover 0..1: how much of the leaf layer covers this spot; outlines (facing 0) are more ragged than middles
-Leaves leaves_at(vec3 p, float seed, float footprint, float facing) {
+Leaves leaves_at(vec3 p, vec3 facing_axis, float seed, float footprint, float facing) {
     vec2 s = seeded(seed);
     Leaves l;
-    l.fine = noise(p.xy + p.zz * vec2(0.37, 0.61) + s, 1.15, footprint);
-    l.clump = noise(p.zy + p.xx * vec2(0.29, -0.53) - s, 3.1, footprint);
+    vec2 uv = planar(p, facing_axis) + s;
+    l.fine = noise(uv, 1.15, footprint);
+    l.clump = noise(uv.yx - 2.0 * s, 5.3, footprint);
     float edge = l.fine.a * 0.45 + l.clump.a * 0.25 + l.clump.r * 0.30;
     float cut_at = mix(0.52, 0.22, clamp(facing * 1.7, 0.0, 1.0));
     float soft = clamp(footprint * 1.5, 0.03, 0.4);
@@ -249,12 +250,14 @@ in vec3 in_normal;
 out vec3 v_world;
 out vec3 v_model;
 out vec3 v_normal;
+flat out vec3 v_facing;
 flat out float v_seed;
 flat out int v_object_id;
 void main() {
     v_world = placed(in_position);
     v_normal = vec3(dot(in_row0.xyz, in_normal), dot(in_row1.xyz, in_normal), dot(in_row2.xyz, in_normal));
     v_model = in_position;
+    v_facing = in_normal;
     v_seed = in_tint_seed.w;
     v_object_id = in_object_id;
     gl_Position = u_clip_from_world * vec4(v_world, 1.0);
@@ -291,6 +294,7 @@ LEAF_INPUTS = """
 uniform vec3 u_eye;
 in vec3 v_model;
 in vec3 v_normal;
+flat in vec3 v_facing;
 flat in float v_seed;
 """
 
@@ -303,5 +307,5 @@ def solid(fragment: str) -> str:
 def leafy(fragment: str, *, footprint: str, facing: str) -> str:
     """The same with holes between leaves; GLSL expressions give metres a pixel and how much a spot faces."""
     inputs = LEAF_INPUTS + ("" if "in vec3 v_world" in fragment else "in vec3 v_world;\n")
-    cut = f"if (leaves_at(v_model, v_seed, {footprint}, {facing}).cover < 0.5) discard;"
+    cut = f"if (leaves_at(v_model, v_facing, v_seed, {footprint}, {facing}).cover < 0.5) discard;"
     return VERSION + NOISE + FOLIAGE_COVER + inputs + fragment.replace("CUT", cut)

@@ -102,7 +102,7 @@ void main() {
     vec4 far = noise(uv + 11.0, 67.0, fp);
     float grain = near.b - 0.5, coarse = mid.b - 0.5, blotch = mid.r - 0.5, large = far.r - 0.5;
     float crack = (1.0 - smoothstep(0.02, 0.05 + fp * 0.3, mid.a)) * smoothstep(0.55, 0.85, far.g);
-    float gain = 1.0 + 0.85 * grain + 0.65 * coarse + 0.14 * blotch + 0.25 * large;
+    float gain = 1.0 + 1.0 * grain + 0.9 * coarse + 0.14 * blotch + 0.25 * large;
     vec3 albedo;
     if (v_material == 6) {            // marking: worn paint lets the road through
         float worn = near.r * 0.4 + near.b * 0.35 + mid.g * 0.25;
@@ -151,7 +151,7 @@ FOLIAGE = (
 uniform float u_least_cover;   // differs between the samples of a pixel, so that outlines come out soft
 void main() {
     Spot s = spot_here();
-    Leaves l = leaves_at(v_model, v_seed, s.footprint, abs(dot(s.n, s.view)));
+    Leaves l = leaves_at(v_model, v_facing, v_seed, s.footprint, abs(dot(s.n, s.view)));
     if (l.cover < u_least_cover) discard;
     float leaf = l.fine.a - 0.45, grain = l.fine.b - 0.5, clump = l.clump.r - 0.5, broad = l.clump.g - 0.5;
     float sprig = l.clump.a - 0.45, twig = l.clump.b - 0.5;
