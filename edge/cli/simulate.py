@@ -42,6 +42,7 @@ def simulate_command(
         task = bar.add_task("simulate", total=None)
         count = simulate(
             out, frames=frames, sequence=sequence, seconds=seconds, rig=rig, seed=seed, image_format=format,
-            quality=quality, workers=workers, progress=lambda done, total: bar.update(task, completed=done, total=total),
+            quality=quality, workers=workers,
+            progress=lambda done, total: bar.update(task, completed=done, total=total),
         )  # fmt: skip
     console.print(f"{count} labelled pairs in {out}", highlight=False)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -84,7 +83,7 @@ def _write_text(path: Path, text: str) -> None:
     """Write beside the place, then rename: an interrupted run leaves no half file."""
     partial = path.with_name(path.name + ".partial")
     partial.write_text(text, encoding="utf-8")
-    os.replace(partial, path)
+    partial.replace(path)
 
 
 def encode_image(image: NDArray[np.uint8], *, image_format: str, quality: int) -> bytes:

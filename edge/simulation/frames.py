@@ -41,7 +41,7 @@ class SimulatedFrame:
 
 
 def camera_pose(x_m: float, y_m: float, z_m: float, *, heading_rad: float) -> FloatArray:
-    """``camera_from_world`` (4, 4) of an upright camera at a world point, looking along a heading (from +z towards +x)."""
+    """``camera_from_world`` (4, 4) of an upright camera at a world point; the heading turns from +z towards +x."""
     cos, sin = np.cos(heading_rad), np.sin(heading_rad)
     pose = np.eye(4)
     pose[:3, :3] = np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])

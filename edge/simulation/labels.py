@@ -3,7 +3,7 @@
 The 2D box is that of the object's whole outline, hidden parts included, cut to the image; truncation is the share of
 the uncut box that lies outside. Occlusion comes from counted pixels: at least 0.80 of the outline inside the image
 seen: 0; at least 0.40: 1; less: 2. An object becomes DontCare where it is under 16 px high, less than a tenth of it is
-to be seen (hidden, or beyond the image's edge), or farther than 90 m; one without a single visible pixel leaves no line.
+to be seen (hidden, or beyond the image's edge), or farther than 90 m; without a single visible pixel it has no line.
 """
 
 from __future__ import annotations

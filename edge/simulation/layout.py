@@ -2,8 +2,8 @@
 
 A frame draws how many objects of each class it holds, and for each object a depth bin, an occlusion level and a
 truncation bin that go together in real labels. Positions and headings come from the placement statistics, are pulled
-into lanes, parked rows and pavements, and are then revised (accepted moves only) until each object is hidden and cut off
-about as much as it was meant to be. Nothing overlaps.
+into lanes, parked rows and pavements, and are then revised until each object is hidden and cut off about as much as it
+was meant to be. Nothing overlaps.
 """
 
 from __future__ import annotations
@@ -26,12 +26,11 @@ from edge.simulation.label_statistics import (
     train_statistics,
 )
 from edge.simulation.placing import (
+    Footprint,
     PlacedObject,
     choose_body,
     draw_size,
     draw_tint,
-    footprint,
-    footprints_overlap,
     silhouette_points,
 )
 from edge.simulation.road import Road, Street, curve
@@ -46,7 +45,7 @@ _VISIBLE_RANGE = ((0.82, 1.0), (0.40, 0.73), (0.12, 0.34))  # wanted share seen,
 _OCCLUSION_TILT = (1.0, 1.25, 1.1)  # some wanted occlusions cannot be arranged: ask for more of them
 _SMALLEST_LABEL_PX = 17.5
 _PARALLEL_RAD, _CROSSING_RAD = 0.40, 1.17
-_EGO = np.array([[-1.1, -3.0], [1.1, -3.0], [1.1, 3.2], [-1.1, 3.2]])
+_EGO = Footprint(0.0, 0.1, -0.5 * np.pi, length_m=6.2, width_m=2.2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +71,7 @@ class _Draft:
     s: float = 0.0
     t: float = 0.0
     yaw_rad: float = 0.0
-    base: FloatArray | None = None
+    base: Footprint | None = None
 
 
 @lru_cache(maxsize=1)
@@ -115,15 +114,26 @@ def draw_street(rng: np.random.Generator, *, vehicles: int, people: int) -> Stre
     if kind == "residential":
         lane = float(rng.uniform(2.5, 3.1))
         return Street(
-            kind, lane, parking_right=bool(rng.random() < 0.8), parking_left=bool(rng.random() < 0.8), marked=bool(rng.random() < 0.15),
-            pavement_m=float(rng.uniform(1.5, 2.5)), verge_m=float(rng.choice([0.0, 0.0, 1.2])),
-        )  # fmt: skip
+            kind,
+            lane,
+            parking_right=bool(rng.random() < 0.8),
+            parking_left=bool(rng.random() < 0.8),
+            marked=bool(rng.random() < 0.15),
+            pavement_m=float(rng.uniform(1.5, 2.5)),
+            verge_m=float(rng.choice([0.0, 0.0, 1.2])),
+        )
     if kind == "city":
         return Street(
-            kind, float(rng.uniform(2.9, 3.5)), lanes_right=int(rng.random() < 0.25), lanes_left=1 + int(rng.random() < 0.25),
-            parking_right=bool(rng.random() < (0.75 if crowded else 0.4)), parking_left=bool(rng.random() < (0.75 if crowded else 0.4)),
-            pavement_m=float(rng.uniform(2.0, 4.0)), verge_m=float(rng.choice([0.0, 0.0, 1.5, 2.5])), marked=bool(rng.random() < 0.7),
-        )  # fmt: skip
+            kind,
+            float(rng.uniform(2.9, 3.5)),
+            lanes_right=int(rng.random() < 0.25),
+            lanes_left=1 + int(rng.random() < 0.25),
+            parking_right=bool(rng.random() < (0.75 if crowded else 0.4)),
+            parking_left=bool(rng.random() < (0.75 if crowded else 0.4)),
+            pavement_m=float(rng.uniform(2.0, 4.0)),
+            verge_m=float(rng.choice([0.0, 0.0, 1.5, 2.5])),
+            marked=bool(rng.random() < 0.7),
+        )
     if kind == "campus":
         return Street(
             kind,
@@ -136,10 +146,16 @@ def draw_street(rng: np.random.Generator, *, vehicles: int, people: int) -> Stre
     if kind == "forest":
         return Street(kind, float(rng.uniform(3.0, 3.6)), kerb_m=0.0, pavement_m=0.0, verge_m=3.0)
     return Street(
-        kind, float(rng.uniform(3.2, 3.7)), lanes_right=int(rng.random() < 0.4), lanes_left=1 + int(rng.random() < 0.4), kerb_m=float(rng.choice([0.0, 0.1])),
-        pavement_m=float(rng.choice([0.0, 2.0])), verge_m=float(rng.uniform(1.0, 4.0)), parking_right=bool(crowded and rng.random() < 0.5),
+        kind,
+        float(rng.uniform(3.2, 3.7)),
+        lanes_right=int(rng.random() < 0.4),
+        lanes_left=1 + int(rng.random() < 0.4),
+        kerb_m=float(rng.choice([0.0, 0.1])),
+        pavement_m=float(rng.choice([0.0, 2.0])),
+        verge_m=float(rng.uniform(1.0, 4.0)),
+        parking_right=bool(crowded and rng.random() < 0.5),
         parking_left=bool(crowded and rng.random() < 0.5),
-    )  # fmt: skip
+    )
 
 
 def draw_road(rng: np.random.Generator, street: Street) -> Road:
@@ -210,7 +226,7 @@ def _draw_drafts(counts: NDArray[np.int64], rng: np.random.Generator, *, focal_p
 
 
 def _finish(draft: _Draft, object_id: int, *, road: Road, street: Street, rng: np.random.Generator) -> PlacedObject:
-    x, z = road.to_world(draft.s, draft.t)
+    x, z = road.point(draft.s, draft.t)
     body, phase, label, own = choose_body(draft.kind, draft.size_hwl, rng)
     y = float(road.height_at(draft.s)) - street.raised_at(draft.s, draft.t)
     yaw = float(wrap_angle_rad(np.array(draft.yaw_rad)))
@@ -330,31 +346,29 @@ class _Search:
         for index in indices:
             self._cost[index] = self._cost_of(index)
 
-    def _base(self, draft: _Draft) -> FloatArray:
-        x, z = self._road.to_world(draft.s, draft.t)
+    def _base(self, draft: _Draft) -> Footprint:
+        x, z = self._road.point(draft.s, draft.t)
         gap = 0.5 if draft.kind in VEHICLES else 0.2
-        return footprint(
+        return Footprint(
             float(x), float(z), draft.yaw_rad, length_m=draft.size_hwl[2] + gap, width_m=draft.size_hwl[1] + gap
         )
 
     def _free(self, index: int) -> bool:
         draft = self.drafts[index]
         base = draft.base = self._base(draft)
-        if footprints_overlap(base, _EGO):
+        if base.overlaps(_EGO):
             return False
         for other, neighbour in enumerate(self.drafts):
             if other == index or neighbour.base is None:
                 continue
-            reach = 0.5 * (draft.size_hwl[2] + neighbour.size_hwl[2] + draft.size_hwl[1] + neighbour.size_hwl[1]) + 1.0
-            apart = abs(neighbour.s - draft.s) > reach or abs(neighbour.t - draft.t) > reach
-            if not apart and footprints_overlap(base, neighbour.base):
+            if base.overlaps(neighbour.base):
                 return False
         return True
 
     def _project(self, index: int) -> None:
         draft = self.drafts[index]
-        x, z = self._road.to_world(draft.s, draft.t)
-        location = np.array([float(x), float(self._road.height_at(draft.s)), float(z)])
+        x, z = self._road.point(draft.s, draft.t)
+        location = np.array([x, float(self._road.height_at(draft.s)), z])
         points = silhouette_points(draft.kind, draft.size_hwl, location, draft.yaw_rad)
         hull, box, distance = self._outlines.project(points)
         self._outlines.hulls[index], self._outlines.boxes[index], self._outlines.distances[index] = hull, box, distance

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -122,26 +123,45 @@ def draw_tint(kind: str, rng: np.random.Generator) -> tuple[float, float, float]
     return float(red), float(green), float(blue)
 
 
-def footprint(x: float, z: float, yaw_rad: float, *, length_m: float, width_m: float) -> FloatArray:
-    """Ground corners (4, 2) of a box, world x and z."""
-    cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
-    along = 0.5 * length_m * np.array([cos, -sin])
-    across = 0.5 * width_m * np.array([sin, cos])
-    centre = np.array([x, z])
-    return np.array(
-        [centre + along + across, centre + along - across, centre - along - across, centre - along + across]
-    )
+class Footprint:
+    """The rectangle that a box covers on the ground; plain floats, since searches test many thousands a second."""
 
+    __slots__ = ("cos", "half_length", "half_width", "sin", "x", "z")
 
-def footprints_overlap(first: FloatArray, second: FloatArray) -> bool:
-    """Whether two convex quadrilaterals (4, 2) overlap (separating axes)."""
-    for quad in (first, second):
-        edges = quad[[1, 2]] - quad[[0, 1]]
-        normals = np.stack([-edges[:, 1], edges[:, 0]], axis=1)
-        a, b = first @ normals.T, second @ normals.T
-        if ((a.max(axis=0) < b.min(axis=0)) | (b.max(axis=0) < a.min(axis=0))).any():
+    def __init__(self, x: float, z: float, yaw_rad: float, *, length_m: float, width_m: float) -> None:
+        self.x, self.z = x, z
+        self.cos, self.sin = math.cos(yaw_rad), math.sin(yaw_rad)
+        self.half_length, self.half_width = 0.5 * length_m, 0.5 * width_m
+
+    def corners(self) -> FloatArray:
+        """Corners (4, 2), world x and z."""
+        along = self.half_length * np.array([self.cos, -self.sin])
+        across = self.half_width * np.array([self.sin, self.cos])
+        centre = np.array([self.x, self.z])
+        return np.array(
+            [centre + along + across, centre + along - across, centre - along - across, centre - along + across]
+        )
+
+    def overlaps(self, other: Footprint) -> bool:
+        """Whether the two rectangles share ground (separating axes: the sides of each)."""
+        dx, dz = other.x - self.x, other.z - self.z
+        reach = self.half_length + self.half_width + other.half_length + other.half_width
+        if abs(dx) > reach or abs(dz) > reach:
             return False
-    return True
+        # cosine and sine between the two; half extents of one seen along the sides of the other
+        same = abs(self.cos * other.cos + self.sin * other.sin)
+        turned = abs(self.cos * other.sin - self.sin * other.cos)
+        if abs(dx * self.cos - dz * self.sin) > self.half_length + other.half_length * same + other.half_width * turned:
+            return False
+        if abs(dx * self.sin + dz * self.cos) > self.half_width + other.half_length * turned + other.half_width * same:
+            return False
+        if (
+            abs(dx * other.cos - dz * other.sin)
+            > other.half_length + self.half_length * same + self.half_width * turned
+        ):
+            return False
+        across = abs(dx * other.sin + dz * other.cos)
+        return across <= other.half_width + self.half_length * turned + self.half_width * same
 
 
 def _prism(low: tuple[float, ...], high: tuple[float, ...]) -> FloatArray:
@@ -162,10 +182,21 @@ _OUTLINES: dict[str, tuple[FloatArray, ...]] = {
         _prism((-0.49, 0.49, -0.08, 0.47), (-0.49, 0.48, -0.45, 0.48)),
         _prism((-0.49, 0.38, -0.45, 0.47), (-0.46, 0.22, -0.99, 0.41)),
     ),
-    "Truck": (_prism((-0.49, 0.49, -0.16, 0.48), (-0.49, 0.49, -0.80, 0.48)), _prism((-0.49, 0.2, -0.80, 0.48), (-0.49, 0.2, -0.97, 0.48))),
-    "Pedestrian": (_prism((-0.3, 0.3, 0.0, 0.25), (-0.1, 0.1, -0.5, 0.3)), _prism((-0.25, 0.25, -0.45, 0.42), (-0.2, 0.2, -0.83, 0.40)), _prism((-0.13, 0.15, -0.83, 0.15), (-0.13, 0.15, -1.0, 0.13))),
-    "Cyclist": (_prism((-0.45, 0.45, 0.0, 0.04), (-0.45, 0.45, -0.35, 0.04)), _prism((-0.2, 0.15, -0.3, 0.2), (-0.2, 0.2, -0.62, 0.3)), _prism((-0.2, 0.25, -0.55, 0.36), (-0.05, 0.15, -0.98, 0.22))),
-}  # fmt: skip
+    "Truck": (
+        _prism((-0.49, 0.49, -0.16, 0.48), (-0.49, 0.49, -0.80, 0.48)),
+        _prism((-0.49, 0.2, -0.80, 0.48), (-0.49, 0.2, -0.97, 0.48)),
+    ),
+    "Pedestrian": (
+        _prism((-0.3, 0.3, 0.0, 0.25), (-0.1, 0.1, -0.5, 0.3)),
+        _prism((-0.25, 0.25, -0.45, 0.42), (-0.2, 0.2, -0.83, 0.40)),
+        _prism((-0.13, 0.15, -0.83, 0.15), (-0.13, 0.15, -1.0, 0.13)),
+    ),
+    "Cyclist": (
+        _prism((-0.45, 0.45, 0.0, 0.04), (-0.45, 0.45, -0.35, 0.04)),
+        _prism((-0.2, 0.15, -0.3, 0.2), (-0.2, 0.2, -0.62, 0.3)),
+        _prism((-0.2, 0.25, -0.55, 0.36), (-0.05, 0.15, -0.98, 0.22)),
+    ),
+}
 
 
 def silhouette_points(

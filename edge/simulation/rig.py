@@ -65,7 +65,8 @@ def load_rig(name: str) -> StereoGeometry:
         )
     except (ValueError, TypeError, KeyError) as error:
         raise FormatError(
-            f"{path} is no rig ({type(error).__name__}: {error}), expected JSON with schema, image_size_wh, P2, P3; mend the file"
+            f"{path} is no rig ({type(error).__name__}: {error}), expected JSON with schema, image_size_wh, P2, P3; "
+            "mend the file"
         ) from None
     for matrix, label in ((geometry.P2, "P2"), (geometry.P3, "P3")):
         if not np.allclose(matrix[2, :3], (0.0, 0.0, 1.0)) or abs(matrix[1, 0]) > 1e-9 or abs(matrix[0, 1]) > 1e-9:

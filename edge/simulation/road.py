@@ -1,10 +1,12 @@
 """The road's centre line, its height, and its cross-section.
 
-Road coordinates (s, t): s metres along the ego lane's centre line, t metres to the right of it. Height is world y (down).
+Road coordinates (s, t): s metres along the ego lane's centre line, t metres to the right of it. Height is world y,
+positive down.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -47,6 +49,17 @@ class Road:
         z = self._at(s, self.points[:, 1]) - t * np.sin(heading)
         return x, z
 
+    def point(self, s: float, t: float) -> tuple[float, float]:
+        """World x and z of one point: `to_world` in plain floats."""
+        place = min(max((s - self.first_s_m) / _SAMPLE_M, 0.0), len(self.points) - 1.0)
+        index = min(int(place), len(self.points) - 2)
+        share = place - index
+        (x0, z0), (x1, z1) = self.points[index], self.points[index + 1]
+        heading = float(self.heading_rad[index]) * (1.0 - share) + float(self.heading_rad[index + 1]) * share
+        x = x0 + (x1 - x0) * share + t * math.cos(heading)
+        z = z0 + (z1 - z0) * share - t * math.sin(heading)
+        return float(x), float(z)
+
     def to_road(self, x: float, z: float) -> tuple[float, float]:
         """Road coordinates of one world point: nearest sample, refined along its tangent."""
         offset = np.array([x, z]) - self.points
@@ -83,7 +96,7 @@ def curve(
         height_m: (N,) world y.
     """
     heading = np.cumsum(curvature_per_m) * _SAMPLE_M
-    zero = int(round(-first_s_m / _SAMPLE_M))
+    zero = round(-first_s_m / _SAMPLE_M)
     heading = heading - heading[zero] + heading_at_zero_rad
     steps = _SAMPLE_M * np.stack([np.sin(heading), np.cos(heading)], axis=-1)
     points = np.cumsum(steps, axis=0)

@@ -1,6 +1,6 @@
 """What a simulated world hands to the renderer: meshes, instances, light, cameras.
 
-World frame: metres, x right, y DOWN, z forward; the road surface lies near y = 0, so a KITTI camera stands at y = -1.65.
+World frame: metres, x right, y DOWN, z forward; the road surface lies near y = 0, so KITTI's camera is at y = -1.65.
 Model frame of an object: origin at the bottom centre of its box, length along +x, width along z, up is -y; the same
 frame as a KITTI label's box, so ``world = rotation_y(yaw) @ model + location`` with the label's own ``rotation_y``.
 """
@@ -44,7 +44,7 @@ class Mesh:
     Attributes:
         positions: (V, 3) float32, metres.
         normals: (V, 3) float32, unit length.
-        colours: (V, 3) float32, linear RGB in [0, 1]; multiplied by the instance's tint where the material is CAR_PAINT or CLOTH.
+        colours: (V, 3) float32, linear RGB in [0, 1]; times the instance's tint on CAR_PAINT and CLOTH.
         materials: (V,) uint8, `Material` per vertex.
         triangles: (T, 3) int32 vertex indices.
     """

@@ -75,7 +75,7 @@ def simulate(
         MissingExtraError: the renderer cannot start.
     """
     out = Path(out)
-    count = int(round(FRAMES_PER_SECOND * seconds)) if sequence else frames
+    count = round(FRAMES_PER_SECOND * seconds) if sequence else frames
     for name, value in (("frames", count), ("workers", workers), ("quality", quality), ("seed", seed + 1)):
         if value < 1:
             raise FormatError(f"{name} gives {value}, expected a positive number; give a larger one")

@@ -20,6 +20,11 @@ def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), _TINY)
 
 
+def shifted(point: NDArray[np.float64], offset: ArrayLike) -> NDArray[np.float64]:
+    """A point (3,) moved by an offset."""
+    return point + np.asarray(offset, dtype=np.float64)
+
+
 def surface_grid(
     points: NDArray[np.float64],
     *,
@@ -195,20 +200,21 @@ def disc(
     axis: int,
     radius: float,
     material: Material,
-    colour: Rgb,
+    colour: ArrayLike,
     inner: float = 0.0,
     sign: float = 1.0,
     sides: int = 16,
     arc: tuple[float, float] = (0.0, 2.0 * np.pi),
 ) -> Mesh:
-    """A flat disc or ring across an axis (0 x, 1 y, 2 z), facing ``sign`` along it."""
+    """A flat disc or ring across an axis (0 x, 1 y, 2 z), facing ``sign``; colour (3,) or one a side (sides, 3)."""
     angle = np.linspace(*arc, sides + 1)
     plane = [index for index in range(3) if index != axis]
     points = np.zeros((2, sides + 1, 3)) + np.asarray(centre)
     for row, size in enumerate((inner, radius)):
         points[row, :, plane[0]] += size * np.cos(angle)
         points[row, :, plane[1]] += size * np.sin(angle)
-    mesh = surface_grid(points, materials=material, colours=colour, smooth=False)
+    colours = np.broadcast_to(np.asarray(colour, dtype=np.float32), (sides, 3))[None]
+    mesh = surface_grid(points, materials=material, colours=colours, smooth=False)
     normals = np.zeros_like(mesh.positions)
     normals[:, axis] = sign
     return Mesh(mesh.positions, normals, mesh.colours, mesh.materials, _wound(mesh.positions, normals, mesh.triangles))

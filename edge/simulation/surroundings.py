@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.simulation.placing import PlacedObject, footprint, footprints_overlap
+from edge.simulation.placing import Footprint, PlacedObject
 from edge.simulation.road import Road, Street
 from edge.simulation.scene import Instance, Light, Mesh
 from edge.simulation.scenery import buildings, furniture, ground, plants
@@ -55,10 +55,10 @@ def build_surroundings(
     world = Surroundings()
     look = ground.GroundLook.draw(rng, street)
     pads = [
-        (footprint(item.location[0], item.location[2], item.yaw_rad, length_m=item.size_hwl[2] + 2.0, width_m=item.size_hwl[1] + 1.6), item.location[1])
+        (_pad(item), item.location[1])
         for item in objects
         if item.kind in ("Car", "Van", "Truck") and _off_street(item, road, street)
-    ]  # fmt: skip
+    ]
     world.meshes["ground"] = ground.joined(
         [
             ground.ground_mesh(road, street, look, from_s_m=span_s_m[0] - 5.0, to_s_m=span_s_m[1] + 60.0),
@@ -75,6 +75,12 @@ def build_surroundings(
         planter.plant_side(side, str(rng.choice(list(mix), p=list(mix.values()))))
     planter.plant_background()
     return world
+
+
+def _pad(item: PlacedObject) -> FloatArray:
+    """Corners of the paved ground under an object off the street."""
+    length_m, width_m = item.size_hwl[2] + 2.0, item.size_hwl[1] + 1.6
+    return Footprint(item.location[0], item.location[2], item.yaw_rad, length_m=length_m, width_m=width_m).corners()
 
 
 def _off_street(item: PlacedObject, road: Road, street: Street) -> bool:
@@ -98,29 +104,39 @@ class _Planter:
     ) -> None:
         self._world, self._road, self._street, self._rng, self._span = world, road, street, rng, span_s_m
         self._bases = [
-            footprint(
+            Footprint(
                 o.location[0], o.location[2], o.yaw_rad, length_m=o.size_hwl[2] + 0.5, width_m=o.size_hwl[1] + 0.5
             )
             for o in objects
         ]
-        corners = [np.concatenate([base, base.mean(axis=0, keepdims=True)]) for base in self._bases]
+        corners = [np.concatenate([base.corners(), [[base.x, base.z]]]) for base in self._bases]
         self._targets = np.concatenate(corners) if corners else np.zeros((0, 2))
-        self._taken: list[FloatArray] = []
+        self._taken: list[Footprint] = []
 
     def _side_edge(self, side: float) -> float:
         return self._street.right_edge_m if side > 0 else self._street.left_edge_m
 
     def put(
-        self, name: str, mesh: Mesh, *, s: float, t: float, turn_rad: float, size_wd: tuple[float, float],
-        sink_m: float = 0.0, guard: bool = True, apart: bool = False, scale: float = 1.0,
-    ) -> bool:  # fmt: skip
+        self,
+        name: str,
+        mesh: Mesh,
+        *,
+        s: float,
+        t: float,
+        turn_rad: float,
+        size_wd: tuple[float, float],
+        sink_m: float = 0.0,
+        guard: bool = True,
+        apart: bool = False,
+        scale: float = 1.0,
+    ) -> bool:
         """Place one mesh (model front +z turned by ``turn_rad`` from the road's direction) if its base is free."""
-        x, z = (float(value) for value in self._road.to_world(s, t))
+        x, z = self._road.point(s, t)
         yaw = float(self._road.heading_at(s)) + turn_rad
-        base = footprint(x, z, yaw, length_m=size_wd[0], width_m=size_wd[1])
-        if any(footprints_overlap(base, other) for other in self._bases):
+        base = Footprint(x, z, yaw, length_m=size_wd[0], width_m=size_wd[1])
+        if any(base.overlaps(other) for other in self._bases):
             return False
-        if apart and any(footprints_overlap(base, other) for other in self._taken):
+        if apart and any(base.overlaps(other) for other in self._taken):
             return False
         if guard and self._hides(x, z, yaw, size_wd):
             return False
@@ -326,9 +342,15 @@ class _Planter:
                 continue
             coarse = s > _COARSE_BEYOND_M and self._span[1] < 200.0
             self.put(
-                f"tree/{index}/{coarse}", plants.tree(index, coarse), s=float(s + rng.normal(0, 0.4)), t=side * t_m,
-                turn_rad=float(rng.uniform(0, 6.3)), size_wd=(0.5, 0.5), scale=float(rng.uniform(0.85, 1.15)), guard=bool(rng.random() < 0.8),
-            )  # fmt: skip
+                f"tree/{index}/{coarse}",
+                plants.tree(index, coarse),
+                s=float(s + rng.normal(0, 0.4)),
+                t=side * t_m,
+                turn_rad=float(rng.uniform(0, 6.3)),
+                size_wd=(0.5, 0.5),
+                scale=float(rng.uniform(0.85, 1.15)),
+                guard=bool(rng.random() < 0.8),
+            )
 
     def _wood_edge(self, side: float, t_m: float) -> None:
         for s in np.arange(self._span[0], self._span[1] + 40.0, 36.0):
@@ -348,7 +370,7 @@ class _Planter:
         index = int(rng.integers(plants.HEDGE_COUNT if hedge else 3))
         step = plants.HEDGE_LENGTH_M if hedge else furniture.FENCE_LENGTH_M
         for s in np.arange(self._span[0], self._span[1] - step, step):
-            if rng.random() < 0.15 and fence_kind is None or self._blocked_by_junction(float(s), step):
+            if (rng.random() < 0.15 and fence_kind is None) or self._blocked_by_junction(float(s), step):
                 continue
             if hedge:
                 name, mesh = f"hedge/{index}", plants.hedge(index)

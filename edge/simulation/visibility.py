@@ -10,6 +10,7 @@ FloatArray = NDArray[np.float64]
 _NEAR_M = 0.4
 _WINDOW_PX = 40
 _SHIFT = 4  # fractional bits of OpenCV's polygon coordinates
+_FAR_FIXED = 16000.0  # corners far outside a window, in its fixed-point units
 
 
 class Outlines:
@@ -67,9 +68,11 @@ class Outlines:
 
     @staticmethod
     def _fill(canvas: NDArray[np.uint8], hulls: list[FloatArray], *, low: FloatArray, scale: float, value: int) -> None:
+        factor = scale * (1 << _SHIFT)
+        offset = low * factor + 0.5 * (1 << _SHIFT)
         for hull in hulls:
-            corners = np.clip((hull - low) * scale, -1000, 1000) - 0.5
-            cv2.fillConvexPoly(canvas, np.round(corners * (1 << _SHIFT)).astype(np.int32), value, shift=_SHIFT)
+            corners = np.rint(np.minimum(np.maximum(hull * factor - offset, -_FAR_FIXED), _FAR_FIXED))
+            cv2.fillConvexPoly(canvas, corners.astype(np.int32), value, shift=_SHIFT)
 
 
 def _touch(box: FloatArray, low: FloatArray, high: FloatArray) -> bool:

@@ -22,6 +22,7 @@ _HEADLAMP = (0.75, 0.78, 0.8)
 _TAIL_LAMP = (0.36, 0.012, 0.012)
 _PLATE = (0.75, 0.75, 0.72)
 _RIM = (0.42, 0.43, 0.45)
+_RIM_GAP = (0.07, 0.07, 0.075)
 _TYRE = (0.022, 0.022, 0.024)
 
 
@@ -92,7 +93,7 @@ def _plan_width(station: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _section(shape: CarShape, station: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Right half sections: heights (S, 9) as shares of the body height and half widths (S, 9) as shares of half the width."""
+    """Right half sections: heights (S, 9), shares of the body height; half widths (S, 9), shares of half the width."""
     roof = _roof(shape, station)
     waist = np.minimum(np.interp(station, [shape.cowl, 1.0], shape.waist), roof - 0.045)
     cabin = np.clip((roof - waist - 0.045) / (0.93 - waist), 0.0, 1.0)
@@ -232,7 +233,7 @@ def _end_face(shape: CarShape, *, front: bool) -> Mesh:
 
 
 def _wheels(shape: CarShape) -> list[Mesh]:
-    height, width, length = shape.size_hwl
+    _, width, length = shape.size_hwl
     radius = shape.wheel_radius_m
     parts = []
     for station in shape.wheel_stations:
@@ -261,8 +262,9 @@ def wheel(x_m: float, *, radius: float, outer_z_m: float, thickness_m: float) ->
     side = float(np.sign(thickness_m))
     centre = (x_m, -radius, outer_z_m)
     hub = (x_m, -radius, outer_z_m + 0.002 * side)
+    spokes = np.where(np.arange(14)[:, None] % 2 == 0, _RIM, _RIM_GAP)
     return [
         surface_grid(tread, materials=Material.RUBBER, colours=_TYRE, flip=side < 0),
         disc(centre, axis=2, radius=radius, inner=0.0, sign=side, material=Material.RUBBER, colour=_TYRE, sides=sides),
-        disc(hub, axis=2, radius=0.66 * radius, inner=0.0, sign=side, material=Material.METAL, colour=_RIM, sides=10),
+        disc(hub, axis=2, radius=0.68 * radius, sign=side, material=Material.METAL, colour=spokes, sides=14),
     ]

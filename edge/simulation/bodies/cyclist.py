@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from edge.simulation.bodies.person import PersonLook, torso_parts
 from edge.simulation.scene import Material, Mesh
-from edge.simulation.solids import box, ellipsoid, fitted, join, tube
+from edge.simulation.solids import box, ellipsoid, fitted, join, shifted, tube
 
 Rgb = tuple[float, float, float]
 _WHEEL_RADIUS_M = 0.345
@@ -51,9 +51,9 @@ def bicycle_parts(frame_colour: Rgb, *, basket: bool = False) -> list[Mesh]:
     for path in (
         [crank, seat],
         [crank, head_low],
-        [seat + [0.04, 0.15, 0], head_high],
+        [shifted(seat, [0.04, 0.15, 0]), head_high],
         [rear, crank],
-        [rear, seat + [0.04, 0.18, 0]],
+        [rear, shifted(seat, [0.04, 0.18, 0])],
     ):
         parts.append(tube(path, 0.018, material=Material.CAR_PAINT, colour=frame_colour, sides=6))
     parts.append(
@@ -61,7 +61,12 @@ def bicycle_parts(frame_colour: Rgb, *, basket: bool = False) -> list[Mesh]:
     )
     parts.append(
         tube(
-            [bar + [-0.06, 0.02, -0.29], bar + [0.04, 0, -0.1], bar + [0.04, 0, 0.1], bar + [-0.06, 0.02, 0.29]],
+            [
+                shifted(bar, [-0.06, 0.02, -0.29]),
+                shifted(bar, [0.04, 0, -0.1]),
+                shifted(bar, [0.04, 0, 0.1]),
+                shifted(bar, [-0.06, 0.02, 0.29]),
+            ],
             0.014,
             material=Material.METAL,
             colour=(0.1, 0.1, 0.1),
@@ -70,7 +75,12 @@ def bicycle_parts(frame_colour: Rgb, *, basket: bool = False) -> list[Mesh]:
     )
     parts.append(
         ellipsoid(
-            seat + [-0.02, -0.02, 0], (0.14, 0.04, 0.075), material=Material.RUBBER, colour=_TYRE, sides=8, rings=4
+            shifted(seat, [-0.02, -0.02, 0]),
+            (0.14, 0.04, 0.075),
+            material=Material.RUBBER,
+            colour=_TYRE,
+            sides=8,
+            rings=4,
         )
     )
     parts.append(box((-0.86, -0.74, -0.07), (-0.35, -0.715, 0.07), material=Material.METAL, colour=(0.08, 0.08, 0.08)))
@@ -97,11 +107,11 @@ def build_cyclist(
     hip = np.array([-0.19, -1.0, 0.0])
     crank = np.array([-0.05, -0.32, 0.0])
     for side, turn in ((-1.0, phase), (1.0, phase + 0.5)):
-        pedal = (
-            crank + _CRANK_M * np.array([np.cos(2 * np.pi * turn), np.sin(2 * np.pi * turn), 0.0]) + [0, 0, side * 0.11]
+        pedal = shifted(
+            crank + _CRANK_M * np.array([np.cos(2 * np.pi * turn), np.sin(2 * np.pi * turn), 0.0]), [0, 0, side * 0.11]
         )
-        ankle = pedal + [-0.04, -0.1, 0.0]
-        root = hip + [0.0, 0.0, side * 0.09]
+        ankle = shifted(pedal, [-0.04, -0.1, 0.0])
+        root = shifted(hip, [0.0, 0.0, side * 0.09])
         knee = _knee(root, ankle, 0.46)
         knee[2] = side * 0.11
         parts.append(
@@ -115,7 +125,7 @@ def build_cyclist(
         )
         parts.append(
             ellipsoid(
-                ankle + [0.06, 0.06, 0.0],
+                shifted(ankle, [0.06, 0.06, 0.0]),
                 (0.13, 0.045, 0.045),
                 material=Material.RUBBER,
                 colour=_SHOE,
@@ -123,9 +133,9 @@ def build_cyclist(
                 rings=4,
             )
         )
-        shoulder = hip + [0.5 * np.sin(lean_rad), -0.5 * np.cos(lean_rad), side * 0.2 * look.girth]
+        shoulder = shifted(hip, [0.5 * np.sin(lean_rad), -0.5 * np.cos(lean_rad), side * 0.2 * look.girth])
         hand = np.array([0.28, -1.07, side * 0.27])
-        elbow = 0.5 * (shoulder + hand) + [-0.03, 0.06, side * 0.05]
+        elbow = shifted(0.5 * (shoulder + hand), [-0.03, 0.06, side * 0.05])
         lower = Material.SKIN if look.short_sleeves else Material.CLOTH
         parts.append(tube([shoulder, elbow], [0.055, 0.045], material=Material.CLOTH, colour=look.top, sides=7))
         parts.append(
@@ -139,11 +149,11 @@ def build_cyclist(
         )
     parts += torso_parts(look, hip_y=float(hip[1]), lean_rad=lean_rad, hip_x=float(hip[0]), helmet=helmet)
     if look.bag == "backpack":
-        back = hip + [0.28 * np.sin(lean_rad) - 0.2, -0.3 * np.cos(lean_rad), 0.0]
+        back = shifted(hip, [0.28 * np.sin(lean_rad) - 0.2, -0.3 * np.cos(lean_rad), 0.0])
         parts.append(
             box(
-                back + [-0.09, -0.2, -0.15],
-                back + [0.09, 0.2, 0.15],
+                shifted(back, [-0.09, -0.2, -0.15]),
+                shifted(back, [0.09, 0.2, 0.15]),
                 material=Material.CLOTH,
                 colour=(0.06, 0.06, 0.09),
             )

@@ -1,9 +1,9 @@
-"""The fixed library of bodies that all drives draw from, each made once a process and named for the renderer's cache."""
+"""The fixed library of bodies that all drives draw from, each made once a process, named for the renderer's cache."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +47,7 @@ class Body:
         return self.size_hwl.max(axis=0)
 
 
-@lru_cache(maxsize=None)
+@cache
 def body(kind: str, index: int) -> Body:
     """The library's body ``index`` of a class; the same on every machine and in every process."""
     kinds = list(BODY_COUNTS)

@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.simulation.scene import Material, Mesh
-from edge.simulation.solids import box, ellipsoid, fitted, join, rounded_loft, tube
+from edge.simulation.solids import box, ellipsoid, fitted, join, rounded_loft, shifted, tube
 
 Rgb = tuple[float, float, float]
 _SKINS: tuple[Rgb, ...] = ((0.55, 0.33, 0.24), (0.62, 0.40, 0.30), (0.35, 0.19, 0.12), (0.14, 0.07, 0.045))
 _HAIRS: tuple[Rgb, ...] = ((0.02, 0.015, 0.01), (0.07, 0.04, 0.02), (0.22, 0.14, 0.06), (0.25, 0.25, 0.25))
 _TOPS: tuple[Rgb, ...] = (
-    (0.02, 0.02, 0.025), (0.06, 0.06, 0.07), (0.65, 0.65, 0.63), (0.03, 0.06, 0.16), (0.3, 0.03, 0.03), (0.12, 0.2, 0.3),
-    (0.35, 0.3, 0.22), (0.05, 0.12, 0.06), (0.5, 0.3, 0.1), (0.25, 0.08, 0.18), (0.4, 0.42, 0.45),
+    (0.02, 0.02, 0.025), (0.06, 0.06, 0.07), (0.65, 0.65, 0.63), (0.03, 0.06, 0.16), (0.3, 0.03, 0.03),
+    (0.12, 0.2, 0.3),    (0.35, 0.3, 0.22), (0.05, 0.12, 0.06), (0.5, 0.3, 0.1), (0.25, 0.08, 0.18), (0.4, 0.42, 0.45),
 )  # fmt: skip
 _TROUSERS: tuple[Rgb, ...] = (
     (0.02, 0.02, 0.025),
@@ -93,7 +93,7 @@ def person_parts(look: PersonLook, phase: float, *, standing: bool = False) -> l
         ankle = joints[-1]
         parts.append(
             ellipsoid(
-                ankle + [0.06, 0.035, 0.0],
+                shifted(ankle, [0.06, 0.035, 0.0]),
                 (0.135, 0.045, 0.048),
                 material=Material.RUBBER,
                 colour=_SHOE,
@@ -109,7 +109,7 @@ def person_parts(look: PersonLook, phase: float, *, standing: bool = False) -> l
         parts.append(tube(arm[1:], np.array([0.045, 0.034]) * girth, material=sleeve, colour=lower_colour, sides=7))
         parts.append(
             ellipsoid(
-                arm[-1] + [0.01, 0.04, 0.0],
+                shifted(arm[-1], [0.01, 0.04, 0.0]),
                 (0.035, 0.06, 0.025),
                 material=Material.SKIN,
                 colour=look.skin,
@@ -157,11 +157,11 @@ def torso_parts(
         np.array([(0.115, 0.165), (0.11, 0.155), (0.115, 0.165), (0.125, 0.19), (0.105, 0.195), (0.06, 0.09)]) * girth
     )
     neck = np.array([hip_x + 0.55 * np.sin(lean_rad), hip_y - 0.55 * np.cos(lean_rad), 0.0])
-    head = neck + [0.03, -0.185, 0.0]
+    head = shifted(neck, [0.03, -0.185, 0.0])
     parts = [
         rounded_loft(centres, sizes, material=Material.CLOTH, colour=look.top),
         tube(
-            [neck + [0, 0.02, 0], neck + [0.01, -0.1, 0]],
+            [shifted(neck, [0, 0.02, 0]), shifted(neck, [0.01, -0.1, 0])],
             [0.055, 0.05],
             material=Material.SKIN,
             colour=look.skin,
@@ -172,16 +172,23 @@ def torso_parts(
     if helmet:
         parts.append(
             ellipsoid(
-                head + [-0.01, -0.055, 0.0], (0.13, 0.09, 0.095), material=Material.CAR_PAINT, colour=(0.6, 0.6, 0.62)
+                shifted(head, [-0.01, -0.055, 0.0]),
+                (0.13, 0.09, 0.095),
+                material=Material.CAR_PAINT,
+                colour=(0.6, 0.6, 0.62),
             )
         )
     else:
         parts.append(
-            ellipsoid(head + [-0.025, -0.035, 0.0], (0.092, 0.11, 0.087), material=Material.MATTE, colour=look.hair)
+            ellipsoid(
+                shifted(head, [-0.025, -0.035, 0.0]), (0.092, 0.11, 0.087), material=Material.MATTE, colour=look.hair
+            )
         )
     if look.long_hair:
         parts.append(
-            ellipsoid(head + [-0.065, 0.07, 0.0], (0.05, 0.15, 0.085), material=Material.MATTE, colour=look.hair)
+            ellipsoid(
+                shifted(head, [-0.065, 0.07, 0.0]), (0.05, 0.15, 0.085), material=Material.MATTE, colour=look.hair
+            )
         )
     return parts
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 
@@ -12,8 +12,8 @@ from edge.simulation.solids import Rgb, box, join, quads_mesh
 _LIBRARY_SEED = 31_415
 BLOCK_COUNT, HOUSE_COUNT, HALL_COUNT = 16, 14, 8
 _WALLS: tuple[Rgb, ...] = (
-    (0.48, 0.42, 0.32), (0.55, 0.52, 0.46), (0.42, 0.36, 0.28), (0.30, 0.15, 0.11), (0.50, 0.33, 0.22), (0.36, 0.37, 0.38),
-    (0.62, 0.60, 0.55), (0.45, 0.44, 0.33), (0.24, 0.20, 0.17), (0.52, 0.42, 0.26),
+    (0.48, 0.42, 0.32), (0.55, 0.52, 0.46), (0.42, 0.36, 0.28), (0.30, 0.15, 0.11), (0.50, 0.33, 0.22),
+    (0.36, 0.37, 0.38),    (0.62, 0.60, 0.55), (0.45, 0.44, 0.33), (0.24, 0.20, 0.17), (0.52, 0.42, 0.26),
 )  # fmt: skip
 _ROOFS: tuple[Rgb, ...] = ((0.22, 0.09, 0.06), (0.15, 0.07, 0.05), (0.09, 0.09, 0.095), (0.17, 0.12, 0.09))
 
@@ -49,7 +49,7 @@ def _gable_roof(
     return join([roof, ends])
 
 
-@lru_cache(maxsize=None)
+@cache
 def block(index: int) -> tuple[Mesh, float, float]:
     """A block of flats or an old town house: mesh, width along x, depth along z, metres."""
     rng = np.random.default_rng([_LIBRARY_SEED, 1, index])
@@ -169,7 +169,7 @@ def _shop_front(width: float, front: float, rng: np.random.Generator) -> list[Me
     return parts
 
 
-@lru_cache(maxsize=None)
+@cache
 def house(index: int) -> tuple[Mesh, float, float]:
     """A family house with a gable or hipped look: mesh, width, depth."""
     rng = np.random.default_rng([_LIBRARY_SEED, 2, index])
@@ -235,7 +235,7 @@ def house(index: int) -> tuple[Mesh, float, float]:
     return mesh, width, depth
 
 
-@lru_cache(maxsize=None)
+@cache
 def hall(index: int) -> tuple[Mesh, float, float]:
     """A long flat building (works, supermarket, institute): mesh, width, depth."""
     rng = np.random.default_rng([_LIBRARY_SEED, 3, index])

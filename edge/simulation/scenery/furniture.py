@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 
@@ -16,7 +16,7 @@ SIGN_COUNT = 7
 FENCE_LENGTH_M = 5.0
 
 
-@lru_cache(maxsize=None)
+@cache
 def lamp_post(index: int) -> Mesh:
     """A street lamp whose arm reaches along -x."""
     height = (7.5, 5.0, 9.0)[index % 3]
@@ -52,7 +52,7 @@ def lamp_post(index: int) -> Mesh:
     )
 
 
-@lru_cache(maxsize=None)
+@cache
 def sign(index: int) -> Mesh:
     """A traffic sign facing -z."""
     top = -2.5
@@ -110,7 +110,7 @@ def sign(index: int) -> Mesh:
     return join([post, *parts])
 
 
-@lru_cache(maxsize=None)
+@cache
 def traffic_light() -> Mesh:
     """A signal on a post, facing -z."""
     parts = [
@@ -122,7 +122,7 @@ def traffic_light() -> Mesh:
     return join(parts)
 
 
-@lru_cache(maxsize=None)
+@cache
 def bollard(index: int) -> Mesh:
     """A short post."""
     if index % 2:
@@ -135,7 +135,7 @@ def bollard(index: int) -> Mesh:
     )
 
 
-@lru_cache(maxsize=None)
+@cache
 def fence(index: int) -> Mesh:
     """Five metres of fence, wall or railing along x."""
     half = 0.5 * FENCE_LENGTH_M
@@ -162,7 +162,7 @@ def fence(index: int) -> Mesh:
     return join(parts)
 
 
-@lru_cache(maxsize=None)
+@cache
 def bin_or_box(index: int) -> Mesh:
     """A wheeled bin, a cable cabinet, or a bench."""
     if index % 3 == 0:
@@ -181,7 +181,7 @@ def bin_or_box(index: int) -> Mesh:
     return join([seat, back, *legs])
 
 
-@lru_cache(maxsize=None)
+@cache
 def shelter() -> Mesh:
     """A bus stop shelter open towards -z."""
     parts = [
@@ -196,7 +196,7 @@ def shelter() -> Mesh:
     return join(parts)
 
 
-@lru_cache(maxsize=None)
+@cache
 def parked_bicycle(index: int) -> Mesh:
     """A bicycle without a rider."""
     rng = np.random.default_rng([16_180, index])
@@ -204,7 +204,7 @@ def parked_bicycle(index: int) -> Mesh:
     return join(bicycle_parts(colour, basket=bool(index % 2)))  # type: ignore[arg-type]
 
 
-@lru_cache(maxsize=None)
+@cache
 def mast() -> Mesh:
     """A tall mast with a cross-arm (overhead line)."""
     return join(

@@ -44,7 +44,7 @@ class GroundLook:
         dry = (0.22, 0.19, 0.10)
         lands: list[tuple[Material, Rgb]] = []
         for _ in range(2):
-            if street.kind == "campus" and rng.random() < 0.7 or street.kind == "city" and rng.random() < 0.6:
+            if (street.kind == "campus" and rng.random() < 0.7) or (street.kind == "city" and rng.random() < 0.6):
                 grey = float(rng.uniform(0.17, 0.3))
                 lands.append((Material.CONCRETE, (grey, grey * 0.97, grey * 0.92)))
             else:

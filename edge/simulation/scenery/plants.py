@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 
@@ -46,7 +46,7 @@ def trunk_radius_m(index: int) -> float:
     return _stem_radius_m(float(np.random.default_rng([_LIBRARY_SEED, 1, index]).uniform(6.0, 13.0)))
 
 
-@lru_cache(maxsize=None)
+@cache
 def tree(index: int, coarse: bool = False) -> Mesh:
     """A leafy tree of 6 to 13 m with a clear stem."""
     rng = np.random.default_rng([_LIBRARY_SEED, 1, index])
@@ -66,44 +66,30 @@ def tree(index: int, coarse: bool = False) -> Mesh:
             sides=5 if coarse else 8,
         )
     ]
-    blobs = 4 if coarse else int(rng.integers(8, 13))
-    sides, rings = (7, 4) if coarse else (10, 6)
-    middle = stem + 0.5 * (height - stem)
+    blobs = 5 if coarse else int(rng.integers(15, 21))
+    sides, rings = (7, 4) if coarse else (8, 5)
+    crown_half = 0.5 * (height - stem)
+    middle = np.array([lean[0], -(stem + crown_half), lean[1]])
+    core = (0.62 * spread, 0.72 * crown_half, 0.62 * spread)
+    parts.append(ellipsoid(middle, core, material=Material.FOLIAGE, colour=_shade(green, rng), sides=8, rings=5))
+    widest = rng.uniform(-0.45, 0.1)  # where along the crown it is broadest
     for number in range(blobs):
-        around = 2 * np.pi * (number / blobs + rng.uniform(0, 0.15))
-        level = rng.uniform(-0.75, 0.8)
-        out = spread * 0.62 * np.sqrt(max(1.0 - level**2, 0.1)) * rng.uniform(0.5, 1.0)
-        centre = np.array(
-            [
-                out * np.cos(around) + lean[0],
-                -(middle + level * 0.5 * (height - stem) * 0.8),
-                out * np.sin(around) + lean[1],
-            ]
-        )
-        size = spread * rng.uniform(0.42, 0.62) * (1.35 if coarse else 1.0)
-        blob = ellipsoid(
-            centre,
-            (size, size * rng.uniform(0.7, 0.95), size),
-            material=Material.FOLIAGE,
-            colour=_shade(green, rng),
-            sides=sides,
-            rings=rings,
-        )
-        parts.append(_lumpy(blob, rng, 0.06 * size))
-        if not coarse and number % 3 == 0:
-            parts.append(
-                tube(
-                    [(lean[0], -stem + 0.3, lean[1]), centre],
-                    [0.5 * thick, 0.2 * thick],
-                    material=Material.BARK,
-                    colour=bark,
-                    sides=5,
-                )
-            )
+        around = number * 2.39996 + rng.normal(0.0, 0.35)  # golden angle: evenly about the stem
+        level = -0.9 + 1.8 * (number + 0.5) / blobs
+        girth = np.sqrt(max(1.0 - (level - widest) ** 2 / (1.0 + abs(widest)) ** 2, 0.05))
+        out = spread * girth * rng.uniform(0.45, 0.85)
+        centre = middle + np.array([out * np.cos(around), -level * crown_half * 0.92, out * np.sin(around)])
+        size = spread * rng.uniform(0.24, 0.42) * (1.7 if coarse else 1.0)
+        radii = (size, size * rng.uniform(0.55, 0.95), size)
+        blob = ellipsoid(centre, radii, material=Material.FOLIAGE, colour=_shade(green, rng), sides=sides, rings=rings)
+        parts.append(_lumpy(blob, rng, 0.14 * size))
+        if not coarse and number % 5 == 0:
+            path = [(lean[0], -stem + 0.3, lean[1]), centre]
+            parts.append(tube(path, [0.5 * thick, 0.2 * thick], material=Material.BARK, colour=bark, sides=5))
     return join(parts)
 
 
-@lru_cache(maxsize=None)
+@cache
 def conifer(index: int, coarse: bool = False) -> Mesh:
     """A spruce or a poplar-like column."""
     rng = np.random.default_rng([_LIBRARY_SEED, 2, index])
@@ -138,7 +124,7 @@ def _away_from_axis(mesh: Mesh) -> Mesh:
     )
 
 
-@lru_cache(maxsize=None)
+@cache
 def bush(index: int) -> Mesh:
     """A low round shrub, 0.8 to 2.2 m."""
     rng = np.random.default_rng([_LIBRARY_SEED, 3, index])
@@ -160,7 +146,7 @@ def bush(index: int) -> Mesh:
     return join(parts)
 
 
-@lru_cache(maxsize=None)
+@cache
 def hedge(index: int) -> Mesh:
     """A trimmed hedge along x, five metres long."""
     rng = np.random.default_rng([_LIBRARY_SEED, 4, index])
@@ -180,7 +166,7 @@ def hedge(index: int) -> Mesh:
     return mesh
 
 
-@lru_cache(maxsize=None)
+@cache
 def tree_line(index: int) -> Mesh:
     """A far edge of woods: a lumpy wall along x, 40 m long, 8 to 14 m high."""
     rng = np.random.default_rng([_LIBRARY_SEED, 5, index])
