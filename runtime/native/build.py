@@ -32,15 +32,25 @@ COMMON_FLAGS = (
 LINK_FLAGS = ("-shared", "-static-libstdc++", "-static-libgcc", "-Wl,--exclude-libs,ALL")
 """The C++ runtime inside and hidden, so that the library runs on older systems and meets no other copy."""
 
-KERNEL_FLAGS: dict[str, tuple[str, ...]] = {"correlation_scalar.cc": (), "dispatch.cc": ()}
-if platform.machine() in ("x86_64", "AMD64"):
-    _AVX512 = ("-mavx512f", "-mavx512bw", "-mfma")
-    KERNEL_FLAGS |= {
-        "correlation_avx2.cc": ("-mavx2", "-mfma"),
-        "correlation_avx512.cc": _AVX512,
-        "correlation_vnni.cc": (*_AVX512, "-mavx512vnni"),
-    }
-"""Kernel sources for this machine, and what each adds to the common flags."""
+_AVX512 = ("-mavx512f", "-mavx512bw", "-mfma")
+_ANYWHERE: dict[str, tuple[str, ...]] = {"correlation_scalar.cc": (), "dispatch.cc": ()}
+_X86 = {
+    "correlation_avx2.cc": ("-mavx2", "-mfma"),
+    "correlation_avx512.cc": _AVX512,
+    "correlation_vnni.cc": (*_AVX512, "-mavx512vnni"),
+}
+_ARM: dict[str, tuple[str, ...]] = {"correlation_neon.cc": ()}
+
+
+def kernel_flags(machine: str) -> dict[str, tuple[str, ...]]:
+    """Kernel sources for a machine, and what each adds to the common flags.
+
+    Args:
+        machine: As ``platform.machine()`` names it.
+    """
+    kernels = {"x86_64": _X86, "AMD64": _X86, "aarch64": _ARM, "arm64": _ARM}
+    return _ANYWHERE | kernels.get(machine, {})
+
 
 HINT = "the models' function body serves instead (same results, slower)"
 
@@ -63,21 +73,30 @@ def find_compiler() -> list[str]:
     raise BuildError(f"found no C++ compiler; expected c++, g++ or clang++ (or CXX); install one, else {HINT}")
 
 
-def compile_objects(compiler: Sequence[str], sources: Sequence[Path], out: Path, *, flags: Sequence[str]) -> list[Path]:
+def compile_objects(
+    compiler: Sequence[str],
+    sources: Sequence[Path],
+    out: Path,
+    *,
+    flags: Sequence[str],
+    machine: str | None = None,
+) -> list[Path]:
     """Compiles sources side by side, one process each.
 
     Args:
         compiler: From ``find_compiler``.
-        sources: ``.cc`` files; those of ``KERNEL_FLAGS`` get their own flags as well.
+        sources: ``.cc`` files; kernels get their own flags as well.
         out: Directory for the objects.
         flags: For all of them.
+        machine: That the compiler makes code for; this one where not given.
 
     Raises:
         BuildError: A file does not compile.
     """
     objects = [out / f"{source.stem}.o" for source in sources]
+    own_flags = kernel_flags(machine or platform.machine())
     commands = [
-        [*compiler, *flags, *KERNEL_FLAGS.get(source.name, ()), "-c", str(source), "-o", str(target)]
+        [*compiler, *flags, *own_flags.get(source.name, ()), "-c", str(source), "-o", str(target)]
         for source, target in zip(sources, objects, strict=True)
     ]
     running = [
@@ -112,7 +131,7 @@ def build(directory: Path) -> Path:
         BuildError: There is no compiler, or it fails.
     """
     compiler = find_compiler()
-    sources = [SOURCE_DIRECTORY / name for name in (*KERNEL_FLAGS, "register.cc")]
+    sources = [SOURCE_DIRECTORY / name for name in (*kernel_flags(platform.machine()), "register.cc")]
     directory.mkdir(parents=True, exist_ok=True)
     try:
         with tempfile.TemporaryDirectory(prefix="edge-stereo-") as scratch:

@@ -62,6 +62,7 @@ extern const Kernels kScalarKernels;
 extern const Kernels kAvx2Kernels;
 extern const Kernels kAvx512Kernels;
 extern const Kernels kVnniKernels;
+extern const Kernels kNeonKernels;
 
 // The fastest kernels that this machine runs, or those of the name given; null where the machine
 // does not run them or no such name is known.

@@ -32,6 +32,8 @@ const Kernels* SelectKernels(const char* name_or_null) {
                                   {&kAvx512Kernels, avx512},
                                   {&kAvx2Kernels, avx2},
                                   {&kScalarKernels, true}};
+#elif defined(__aarch64__)
+  const Candidate candidates[] = {{&kNeonKernels, true}, {&kScalarKernels, true}};
 #else
   const Candidate candidates[] = {{&kScalarKernels, true}};
 #endif

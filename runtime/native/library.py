@@ -21,7 +21,7 @@ def library_path() -> Path | None:
 
 
 def instruction_set() -> str | None:
-    """Asks the library which kernels new sessions would use: ``vnni``, ``avx512``, ``avx2`` or ``scalar``.
+    """Asks the library which kernels new sessions would use: ``vnni``, ``avx512``, ``avx2``, ``neon`` or ``scalar``.
 
     Returns:
         The name; None where the library is not built, cannot be loaded, or ``EDGE_NATIVE_ISA`` names an

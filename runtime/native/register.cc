@@ -181,7 +181,7 @@ OrtStatus* CreateKernel(const OrtCustomOp*, const void* table, const OrtKernelIn
   const Kernels* kernels = SelectKernels(std::getenv(kInstructionSet));
   if (kernels == nullptr) {
     return api.CreateStatus(kInvalidArgument,
-                            "stereo correlation: EDGE_NATIVE_ISA must be one of scalar, avx2, avx512, vnni"
+                            "stereo correlation: EDGE_NATIVE_ISA must be one of scalar, avx2, avx512, vnni, neon"
                             " that this machine runs");
   }
   *kernel = new (std::nothrow) Kernel{api, kernels, disparities};

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import ctypes
+import platform
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from runtime.native import library
-from runtime.native.build import BuildError, build, find_compiler
+from runtime.native.build import BuildError, build, find_compiler, kernel_flags
 from runtime.native.library import library_path
 
-INSTRUCTION_SETS = ("scalar", "avx2", "avx512", "vnni")
+INSTRUCTION_SETS = [name.removesuffix(".cc").split("_")[1] for name in kernel_flags(platform.machine()) if "_" in name]
 
 
 @pytest.fixture(scope="session")

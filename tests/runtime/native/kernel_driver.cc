@@ -117,7 +117,7 @@ int CheckQuantized(const Kernels& kernels, const Shape& s, std::mt19937& random)
 int main() {
   std::mt19937 random(1);
   int wrong = 0;
-  for (const char* name : {"scalar", "avx2", "avx512", "vnni"}) {
+  for (const char* name : {"scalar", "avx2", "avx512", "vnni", "neon"}) {
     const Kernels* kernels = edge::SelectKernels(name);
     if (kernels == nullptr) {
       std::printf("%s: not on this machine\n", name);

@@ -12,6 +12,7 @@ import pytest
 from runtime.native import library
 from runtime.native.build import LIBRARY_NAME
 
+INSTRUCTION_SETS = ("vnni", "avx512", "avx2", "neon", "scalar")
 REPOSITORY = Path(__file__).resolve().parents[3]
 
 
@@ -30,7 +31,7 @@ def test_a_broken_file_is_none(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
 @pytest.mark.usefixtures("native_library")
 def test_environment_lowers_the_instruction_set(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("EDGE_NATIVE_ISA", raising=False)
-    assert library.instruction_set() in ("vnni", "avx512", "avx2", "scalar")
+    assert library.instruction_set() in INSTRUCTION_SETS
     monkeypatch.setenv("EDGE_NATIVE_ISA", "scalar")
     assert library.instruction_set() == "scalar"
     monkeypatch.setenv("EDGE_NATIVE_ISA", "unheard")

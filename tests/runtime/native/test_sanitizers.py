@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import platform
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -9,11 +11,11 @@ import pytest
 
 from runtime.native.build import (
     COMMON_FLAGS,
-    KERNEL_FLAGS,
     SOURCE_DIRECTORY,
     BuildError,
     compile_objects,
     find_compiler,
+    kernel_flags,
     link,
 )
 
@@ -41,12 +43,28 @@ def compiler(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
 @pytest.mark.slow
 def test_no_kernel_steps_beside_its_buffers(compiler: list[str], tmp_path: Path) -> None:
     flags = [*COMMON_FLAGS, *SANITIZE, f"-I{SOURCE_DIRECTORY}"]
-    sources = [*(SOURCE_DIRECTORY / name for name in KERNEL_FLAGS), DRIVER]
+    sources = [*(SOURCE_DIRECTORY / name for name in kernel_flags(platform.machine())), DRIVER]
     program = tmp_path / "kernel_driver"
     link(compiler, compile_objects(compiler, sources, tmp_path, flags=flags), program, flags=SANITIZE)
     result = subprocess.run([program], capture_output=True, text=True, check=False, timeout=300)
     assert result.returncode == 0, result.stdout + result.stderr
     assert "scalar: 0 wrong" in result.stdout
+
+
+@pytest.mark.slow
+def test_neon_kernels_under_emulation(tmp_path: Path) -> None:
+    """The ARM kernels on any machine that has a cross compiler and an emulator."""
+    compiler, emulator = shutil.which("aarch64-linux-gnu-g++"), shutil.which("qemu-aarch64-static")
+    if compiler is None or emulator is None:
+        pytest.skip("no aarch64-linux-gnu-g++ or no qemu-aarch64-static on this machine")
+    flags = [*COMMON_FLAGS, "-O2", f"-I{SOURCE_DIRECTORY}"]
+    sources = [*(SOURCE_DIRECTORY / name for name in kernel_flags("aarch64")), DRIVER]
+    program = tmp_path / "kernel_driver"
+    objects = compile_objects([compiler], sources, tmp_path, flags=flags, machine="aarch64")
+    link([compiler], objects, program, flags=("-static",))
+    result = subprocess.run([emulator, program], capture_output=True, text=True, check=False, timeout=300)
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert "neon: 0 wrong" in result.stdout
 
 
 def test_no_compiler_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
