@@ -8,7 +8,7 @@ from pathlib import Path
 from runtime.contracts.errors import SourceError
 
 CALIBRATION_DRIVE = "calibration_drive"
-MEASURING_DRIVE = "measuring_drive"
+MEASURING_DRIVE = "demo_drive"
 
 
 def calibration_source() -> str:
