@@ -74,7 +74,7 @@ def parse_geometry(data: dict[str, Any], *, where: str = "geometry") -> StereoGe
     if set(data) != set(_KEYS):
         raise FormatError(
             f"{where} has the keys {', '.join(sorted(data)) or 'none'}, expected {', '.join(_KEYS)}; "
-            "write it as the documentation of geometry files says"
+            "P2 and P3 are 3 rows of 4 numbers"
         )
     if data["schema"] != SCHEMA or isinstance(data["schema"], bool):
         raise FormatError(f"{where} has schema {data['schema']!r}, expected {SCHEMA}; write it anew")

@@ -45,6 +45,10 @@ def stream_command(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace results that are there.")] = False,
 ) -> None:
     """Run a model over a recording or a camera and write its 3D boxes."""
+    from runtime.sources.factory import open_source
+
+    frames = open_source(source)  # before all that takes time: a camera that is not there is told at once
+
     from rich.console import Console
 
     from edge.cli.notices import Notices
@@ -52,10 +56,8 @@ def stream_command(
     from runtime.detector import open_detector
     from runtime.pipeline import run_stream
     from runtime.sinks.factory import SinkRequest, open_sinks
-    from runtime.sources.factory import open_source
 
     directory = open_model_directory(model)
-    frames = open_source(source)
     if labels and frames.is_live:
         raise SourceError(f"{source} is live and has no labels, expected recorded frames; leave --labels out")
     request = SinkRequest(json=json, kitti=kitti, video=video, pictures=pictures, overwrite=overwrite)

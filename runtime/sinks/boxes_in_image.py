@@ -6,6 +6,8 @@ Boxes that reach behind the camera are cut at a plane in front of it before proj
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +19,8 @@ from runtime.sinks.shapes import draw_line, fill_chip, fill_polygon
 from runtime.sinks.text import BOLD, draw_text, text_width
 
 NEAR_M = 0.4
+THIN_BEYOND_M = 35.0
+"""Further boxes are small: a thin line leaves something of the object to see."""
 # Corner numbers of `box_corners`; each face's corners go round it. The front looks along the object's length.
 FRONT, REAR = (4, 5, 6, 3), (0, 1, 2, 7)
 FACES = (FRONT, REAR, (0, 1, 4, 5), (7, 2, 3, 6), (0, 5, 6, 7), (1, 2, 3, 4))
@@ -26,6 +30,7 @@ EDGES = tuple(
 TAG_PX = 14
 _TAG_PADDING_PX = 4
 _TAG_GAP_PX = 2
+_TAG_RISE_PX = 6
 _TAG_TRIES = 3
 
 Image = NDArray[np.uint8]
@@ -44,13 +49,14 @@ def draw_boxes(image: Image, projection: FloatArray, detections: Detections3D) -
     colours = [class_colour(detections.class_names[index]) for index in detections.class_id]
     for row in np.argsort(-distance_m):
         _draw_box(image, projection, corners[row], colours[row])
-    taken: list[tuple[int, int, int, int]] = []
+    tags: list[_Tag] = []
     for row in np.argsort(distance_m):
         name = detections.class_names[detections.class_id[row]]
         text = f"{name} {detections.score[row]:.2f}  {distance_m[row]:.0f} m"
         top = _top_of(projection, corners[row])
-        if top is not None:
-            _draw_tag(image, text, top, colours[row], taken)
+        tag = None if top is None else _place_tag(text, top, colours[row], image_size_wh=image.shape[1::-1], tags=tags)
+        tags += [] if tag is None else [tag]
+    _draw_tags(image, tags)
 
 
 def draw_label_boxes(image: Image, projection: FloatArray, labels: Objects3D) -> None:
@@ -76,8 +82,9 @@ def _draw_box(image: Image, projection: FloatArray, corners: FloatArray, colour:
     for edge in EDGES:
         if edge not in bright:
             _draw_edge(image, projection, corners[list(edge)], faint, 1)
+    width = 2 if np.linalg.norm(middle - camera) < THIN_BEYOND_M else 1
     for edge in bright:
-        _draw_edge(image, projection, corners[list(edge)], colour, 2)
+        _draw_edge(image, projection, corners[list(edge)], colour, width)
     if FRONT in visible:  # a cross on the front tells where the object looks
         for pair in ((4, 6), (5, 3)):
             _draw_edge(image, projection, corners[list(pair)], colour, 1)
@@ -121,42 +128,51 @@ def _top_of(projection: FloatArray, corners: FloatArray) -> FloatArray | None:
     return np.array([0.5 * (pixels[:, 0].min() + pixels[:, 0].max()), pixels[:, 1].min()])
 
 
-def _draw_tag(
-    image: Image,
-    text: str,
-    top_xy: FloatArray,
-    colour: Colour,
-    taken: list[tuple[int, int, int, int]],
-) -> None:
-    """A chip with text above a point, moved up past earlier ones; left out where there is no room."""
-    width = text_width(text, size_px=TAG_PX, weight=BOLD) + 2 * _TAG_PADDING_PX
-    height = TAG_PX + _TAG_PADDING_PX
-    x = round(float(np.clip(top_xy[0] - width / 2, 0, max(image.shape[1] - width - 1, 0))))
-    y = round(float(top_xy[1])) - height - 6
-    if not -height < y < image.shape[0] or not 0 <= top_xy[0] < image.shape[1]:
-        return
+@dataclass(frozen=True, slots=True)
+class _Tag:
+    """A chip with text, and the point that it is about."""
+
+    text: str
+    colour: Colour
+    corner_xy: tuple[int, int]
+    size_wh: tuple[int, int]
+    about_xy: FloatArray
+
+    def meets(self, corner_xy: tuple[int, int], size_wh: tuple[int, int]) -> bool:
+        """Whether another chip there would touch it."""
+        return all(
+            other < own + own_size + _TAG_GAP_PX and own < other + other_size + _TAG_GAP_PX
+            for own, own_size, other, other_size in zip(self.corner_xy, self.size_wh, corner_xy, size_wh, strict=True)
+        )
+
+
+def _place_tag(
+    text: str, top_xy: FloatArray, colour: Colour, *, image_size_wh: tuple[int, ...], tags: list[_Tag]
+) -> _Tag | None:
+    """Room above a point, further up where other tags are; None where there is none."""
+    width, height = text_width(text, size_px=TAG_PX, weight=BOLD) + 2 * _TAG_PADDING_PX, TAG_PX + _TAG_PADDING_PX
+    x = round(float(np.clip(top_xy[0] - width / 2, 0, max(image_size_wh[0] - width - 1, 0))))
+    y = round(float(top_xy[1])) - height - _TAG_RISE_PX
+    if not -height < y < image_size_wh[1] or not 0 <= top_xy[0] < image_size_wh[0]:
+        return None
     for attempt in range(_TAG_TRIES):
-        place = (x, max(y - attempt * (height + _TAG_GAP_PX), 0))
-        if not any(_overlap((*place, width + _TAG_GAP_PX, height + _TAG_GAP_PX), other) for other in taken):
-            break
-    else:
-        return
-    taken.append((*place, width + _TAG_GAP_PX, height + _TAG_GAP_PX))
-    if place[1] < y - 1:
-        anchor = np.array([float(np.clip(top_xy[0], x, x + width)), place[1] + height])
-        draw_line(image, anchor, top_xy, colour=colour)
-    fill_chip(image, place, (width, height), colour=colour)
-    baseline = (place[0] + _TAG_PADDING_PX, place[1] + height - _TAG_PADDING_PX)
-    draw_text(image, text, baseline, colour=BACKGROUND, size_px=TAG_PX, weight=BOLD)
+        corner = (x, max(y - attempt * (height + _TAG_GAP_PX), 0))
+        if not any(tag.meets(corner, (width, height)) for tag in tags):
+            return _Tag(text, colour, corner, (width, height), top_xy)
+    return None
 
 
-def _overlap(one: tuple[int, int, int, int], other: tuple[int, int, int, int]) -> bool:
-    return (
-        one[0] < other[0] + other[2]
-        and other[0] < one[0] + one[2]
-        and one[1] < other[1] + other[3]
-        and other[1] < one[1] + one[3]
-    )
+def _draw_tags(image: Image, tags: list[_Tag]) -> None:
+    """Lines first, so that none runs through a text."""
+    for tag in tags:
+        bottom = tag.corner_xy[1] + tag.size_wh[1]
+        if tag.about_xy[1] - bottom > _TAG_RISE_PX + 1:
+            anchor = np.array([np.clip(tag.about_xy[0], tag.corner_xy[0], tag.corner_xy[0] + tag.size_wh[0]), bottom])
+            draw_line(image, anchor, tag.about_xy, colour=tag.colour)
+    for tag in tags:
+        fill_chip(image, tag.corner_xy, tag.size_wh, colour=tag.colour)
+        baseline = (tag.corner_xy[0] + _TAG_PADDING_PX, tag.corner_xy[1] + tag.size_wh[1] - _TAG_PADDING_PX)
+        draw_text(image, tag.text, baseline, colour=BACKGROUND, size_px=TAG_PX, weight=BOLD)
 
 
 def fit_to_width(image: Image, size_wh: tuple[int, int]) -> Image:
