@@ -63,7 +63,7 @@ def load(key: str, folder: Path | None = None) -> Observation | None:
     """The observation of this key, or None where there is none or its file is damaged."""
     path = (folder or cache_folder()) / f"{key}.npz"
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
             names = [str(name) for name in archive["names"]]
             numbers, counts = archive["numbers"], archive["counts"]
             channel_names = [str(name) for name in archive["channel_names"]]

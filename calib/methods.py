@@ -21,7 +21,7 @@ LEVELS = 256
 PERCENTILE = 99.999
 """Per cent of the values that ``percentile`` keeps inside, at each end."""
 
-_SHRINKS = np.linspace(1.0, 0.2, 81)
+_SHRINKS = np.linspace(1.0, 0.1, 91)
 
 Range = tuple[float, float]
 

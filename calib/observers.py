@@ -95,11 +95,14 @@ class StreamingHistogram:
             span = max(high - low, abs(low) * _SMALLEST_RELATIVE_SPAN, _SMALLEST_SPAN)
             self._bin_width = span * (1 + 1e-6) / bins
             self._first_edge = low
-        while high >= self._first_edge + bins * self._bin_width:
-            self._merge(at_start=True)
-        while low < self._first_edge:
-            self._first_edge -= bins * self._bin_width
-            self._merge(at_start=False)
+        while True:  # both ends again after each step: a large step swallows a small end by rounding
+            if high >= self._first_edge + bins * self._bin_width:
+                self._merge(at_start=True)
+            elif low < self._first_edge:
+                self._first_edge -= bins * self._bin_width
+                self._merge(at_start=False)
+            else:
+                return
 
     def _merge(self, *, at_start: bool) -> None:
         """Halves the bins in use; the freed half opens above them, or (not at_start) below them."""
