@@ -76,9 +76,23 @@ def moment_of_seed(seed: int, geometry: StereoGeometry) -> Moment:
     return Moment(scene, layout.objects, camera_pose(0.0, -layout.camera_height_m, 0.0, heading_rad=0.0))
 
 
-def label_moment(moment: Moment, geometry: StereoGeometry, renderer: Renderer) -> Objects3D:
-    """Labels of a moment; the renderer counts visible pixels."""
-    left_camera, _ = cameras(geometry, moment.camera_from_world)
+def labels_of_seed(
+    seed: int, geometry: StereoGeometry, renderer: Renderer, *, counting_size_wh: tuple[int, int]
+) -> Objects3D:
+    """The labels of a seed without its pictures.
+
+    Args:
+        seed: the frame's seed.
+        geometry: the rig.
+        renderer: counts visible pixels; opened with ``counting_size_wh``.
+        counting_size_wh: size at which they are counted. A fraction of the rig's is quicker, and changes an occlusion
+            level only where the visible share lies within rounding of a threshold.
+    """
+    moment = moment_of_seed(seed, geometry)
+    width, height = counting_size_wh
+    full_width, full_height = geometry.image_size_wh
+    counted = geometry.scale((width / full_width, height / full_height), (width, height))
+    left_camera, _ = cameras(counted, moment.camera_from_world)
     ids = [item.object_id for item in moment.objects]
     pixels = renderer.visible_and_total_pixels(moment.scene, left_camera, ids)
     return label_objects(moment.objects, geometry=geometry, camera_from_world=moment.camera_from_world, pixels=pixels)
