@@ -54,12 +54,20 @@ def mse_range(statistics: TensorStatistics) -> Range:
     """
     centers, counts = statistics.centers, statistics.counts.astype(np.float64)
     rounded = np.where(np.abs(centers) <= 0.5 * statistics.bin_width, 0.0, counts)
+    # Running sums from below, so that the cost of a range is a few look-ups.
+    zeroth, first, second, inside = (
+        np.concatenate([[0.0], np.cumsum(values)])
+        for values in (counts, counts * centers, counts * centers**2, rounded)
+    )
 
     def cost(low: float, high: float) -> float:
-        outside = np.maximum(centers - high, 0.0) + np.maximum(low - centers, 0.0)
+        start, stop = np.searchsorted(centers, [low, high], side="left")
+        below = second[start] - 2 * low * first[start] + low**2 * zeroth[start]
+        above = (
+            (second[-1] - second[stop]) - 2 * high * (first[-1] - first[stop]) + high**2 * (zeroth[-1] - zeroth[stop])
+        )
         step = (high - low) / (LEVELS - 1)
-        inside = outside == 0
-        return float((counts * outside**2).sum() + rounded[inside].sum() * step**2 / 12)
+        return float(below + above + (inside[stop] - inside[start]) * step**2 / 12)
 
     return _best(statistics, cost)
 

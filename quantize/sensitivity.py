@@ -17,6 +17,7 @@ import numpy as np
 import onnx
 from numpy.typing import NDArray
 
+from calib.methods import Range
 from calib.ranges import Feeds, Observation, Progress, no_progress, split_groups, with_outputs
 from quantize.placement import PRODUCTS
 from quantize.qdq import QuantisedGraph
@@ -111,7 +112,7 @@ def layer_noise(prepared: Prepared, graph: QuantisedGraph, feeds: Callable[[], I
 def own_noise(
     prepared: Prepared,
     observation: Observation,
-    method: str,
+    ranges: Mapping[str, Range],
     feeds: Sequence[Feeds],
     *,
     progress: Progress = no_progress,
@@ -121,7 +122,7 @@ def own_noise(
     Args:
         prepared: The float model.
         observation: Its calibration.
-        method: Range method.
+        ranges: Of its tensors.
         feeds: A few frames.
         progress: Told after every layer.
     """
@@ -130,7 +131,7 @@ def own_noise(
         wanted = [session.run(feed) for feed in feeds]
     found = []
     for number, layer in enumerate(layers):
-        graph = build(prepared, observation, method, given_back=[name for name in layers if name != layer])
+        graph = build(prepared, observation, ranges, given_back=[name for name in layers if name != layer])
         with open_session(graph.model.SerializeToString(), name=f"model with {layer} in INT8") as session:
             energies = [_Energy() for _ in session.outputs]
             for feed, expected in zip(feeds, wanted, strict=True):

@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 import platform
 import shutil
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -20,6 +20,7 @@ import onnx
 
 from calib.cache import cache_key, load, store
 from calib.frames import CalibrationSet, chosen_frames, frame_feeds, record
+from calib.methods import Range
 from calib.ranges import Observation, Progress, no_progress, observe
 from quantize.errors import QuantizeError
 from quantize.graph import multiply_adds, name_nodes, tensor_shapes
@@ -170,21 +171,24 @@ def calibrate(
 
 
 def build(
-    prepared: Prepared, observation: Observation, method: str, *, given_back: Collection[str] = ()
+    prepared: Prepared,
+    observation: Observation,
+    ranges: Mapping[str, Range],
+    *,
+    given_back: Collection[str] = (),
 ) -> QuantisedGraph:
     """Writes the INT8 graph.
 
     Args:
         prepared: The float model.
         observation: Of its whole placement.
-        method: Range method, see `calib.methods.METHODS`.
+        ranges: ``observation.ranges(method)``, made once for many builds.
         given_back: Names of nodes that stay float.
     """
     placement = place(prepared.model, prepared.recipe, given_back) if given_back else prepared.placement
-    ranges = observation.ranges(method)
-    for tensor in placement.observed:  # a tensor that is a root only since its move was given back
-        ranges.setdefault(tensor, ranges[prepared.placement.root_of[tensor]])
-    return quantise_graph(prepared.model, placement, prepared.recipe, ranges=ranges, channels=observation.channels)
+    # A tensor can be a root only since the move that made it was given back: it had its root's range before.
+    known = {name: ranges[prepared.placement.root_of.get(name, name)] for name in placement.observed}
+    return quantise_graph(prepared.model, placement, prepared.recipe, ranges=known, channels=observation.channels)
 
 
 def int8_share(prepared: Prepared, given_back: Collection[str] = ()) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
+    from calib.methods import Range
     from quantize.budget import BudgetResult
     from quantize.static import Calibration, Prepared
     from runtime.contracts.manifest import ModelDirectory
@@ -91,8 +92,10 @@ def quantize_command(
         reached = "remembered from an earlier run" if found.from_cache else "run"
         _say(f"calibrated on {len(found.frames.frames)} frames of {found.frames.source} ({reached})")
 
+    ranges = found.observation.ranges(method.value)
+
     def write(place: Path, given_back: Sequence[str]) -> ModelDirectory:
-        graph = build(prepared, found.observation, method.value, given_back=given_back)
+        graph = build(prepared, found.observation, ranges, given_back=given_back)
         return write_directory(prepared, graph, found, place, method=method.value, given_back=given_back)
 
     search = None
@@ -105,7 +108,7 @@ def quantize_command(
             out=out,
             validation=validation,
             max_drop=max_drop,
-            method=method.value,
+            ranges=ranges,
             allow_other_rig=allow_other_rig,
         )
         given_back = search.best.given_back
@@ -153,7 +156,7 @@ def _search(
     out: Path,
     validation: str,
     max_drop: float,
-    method: str,
+    ranges: Mapping[str, Range],
     allow_other_rig: bool,
 ) -> BudgetResult:
     """Runs the budget search in a folder beside the result."""
@@ -186,7 +189,7 @@ def _search(
                         chosen_frames(source, RANKING_FRAMES), prepared.source.manifest, allow_other_rig=allow_other_rig
                     )
                 )
-                order = own_noise(prepared, found.observation, method, feeds, progress=progress)
+                order = own_noise(prepared, found.observation, ranges, feeds, progress=progress)
                 return [item.node for item in order]
 
             return search_budget(
@@ -256,7 +259,7 @@ def _report(
                 _warn_of_overlap(found, source)
             pairs = list(chosen_frames(source, TIMED_FRAMES))
             feeds = list(frame_feeds(pairs[:NOISE_FRAMES], manifest, allow_other_rig=allow_other_rig))
-            graph = build(prepared, found.observation, method, given_back=given_back)
+            graph = build(prepared, found.observation, found.observation.ranges(method), given_back=given_back)
             layers = layer_noise(prepared, graph, lambda: feeds)
             paths = [prepared.source.path, written.path]
             measurements = _measure(paths, source, allow_other_rig=allow_other_rig)

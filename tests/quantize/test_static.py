@@ -58,7 +58,7 @@ def busy_drive(tiny_drive: Path) -> Path:
 def test_a_model_directory_comes_out_that_detects(prepared, calibration, toy_directory, busy_drive, tmp_path) -> None:
     (toy_directory / "card.md").write_text("# Toy\n\nData: none.\n", encoding="utf-8")
     out = tmp_path / "made" / "int8"
-    graph = build(prepared, calibration.observation, "mse")
+    graph = build(prepared, calibration.observation, calibration.observation.ranges("mse"))
     written = write_directory(prepared, graph, calibration, out, method="mse")
     assert written.manifest.recipe == "static_wi8_au8_x86_vnni"
     facts = written.manifest.provenance
@@ -78,7 +78,9 @@ def test_a_model_directory_comes_out_that_detects(prepared, calibration, toy_dir
 
 
 def test_the_same_run_gives_the_same_bytes(prepared, calibration) -> None:
-    models = [build(prepared, calibration.observation, "percentile").model for _ in range(2)]
+    models = [
+        build(prepared, calibration.observation, calibration.observation.ranges("percentile")).model for _ in range(2)
+    ]
     assert models[0].SerializeToString(deterministic=True) == models[1].SerializeToString(deterministic=True)
 
 
@@ -117,7 +119,7 @@ def test_changed_pixels_miss_the_cache(prepared, busy_drive, cache_home) -> None
 
 
 def test_every_layer_is_close_to_its_float_twin(prepared, calibration, toy_feeds) -> None:
-    graph = build(prepared, calibration.observation, "minmax")
+    graph = build(prepared, calibration.observation, calibration.observation.ranges("minmax"))
     noise = layer_noise(prepared, graph, lambda: toy_feeds[:2])
     assert {item.node for item in noise} == set(prepared.products)
     assert min(item.snr_db for item in noise) > MIN_LAYER_SNR_DB
@@ -130,7 +132,7 @@ def test_the_layer_made_worst_is_ranked_worst(prepared, calibration, toy_feeds) 
     statistics = calibration.observation.tensors[tensor]
     wide = dataclasses.replace(statistics, maximum=100 * statistics.maximum)
     spoilt = dataclasses.replace(calibration.observation, tensors={**calibration.observation.tensors, tensor: wide})
-    ranked = own_noise(prepared, spoilt, "minmax", toy_feeds[:1])
+    ranked = own_noise(prepared, spoilt, spoilt.ranges("minmax"), toy_feeds[:1])
     assert ranked[0].node == "stereo"
     assert [item.snr_db for item in ranked] == sorted(item.snr_db for item in ranked)
 
@@ -143,7 +145,7 @@ def test_share_of_multiply_adds(prepared) -> None:
 
 
 def test_a_quantised_model_is_refused(prepared, calibration, tmp_path) -> None:
-    graph = build(prepared, calibration.observation, "mse")
+    graph = build(prepared, calibration.observation, calibration.observation.ranges("mse"))
     written = write_directory(prepared, graph, calibration, tmp_path / "int8", method="mse")
     with pytest.raises(QuantizeError, match="float32"):
         prepare_model(written, prepared.recipe)
@@ -155,7 +157,7 @@ def test_a_model_without_convolutions_is_refused(tiny_model) -> None:
 
 
 def test_the_float_model_is_not_overwritten(prepared, calibration, toy_directory) -> None:
-    graph = build(prepared, calibration.observation, "mse")
+    graph = build(prepared, calibration.observation, calibration.observation.ranges("mse"))
     before = (toy_directory / "model.onnx").read_bytes()
     with pytest.raises(QuantizeError, match="another place"):
         write_directory(prepared, graph, calibration, toy_directory, method="mse")

@@ -1,0 +1,179 @@
+"""``edge quantize`` from end to end on the toy network: files, report, cache, budget, exit codes."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("onnx")
+
+from edge.cli.main import app
+from edge.cli.quantize import public_name
+from runtime.contracts.manifest import open_model_directory
+from runtime.detector import open_detector
+from runtime.sources.factory import open_source
+
+
+def run(*arguments: object) -> int:
+    from typer.main import get_command
+
+    with pytest.raises(SystemExit) as ended:
+        get_command(app).main([str(item) for item in arguments])
+    return int(ended.value.code or 0)
+
+
+@pytest.fixture(autouse=True)
+def cache_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+@pytest.fixture
+def drives(tiny_drive: Path) -> tuple[Path, Path]:
+    """Two drives with other pictures; the second one measures."""
+    import cv2
+
+    second = Path(shutil.copytree(tiny_drive, tiny_drive.parent / "second-drive"))
+    for seed, drive in enumerate((tiny_drive, second)):
+        random = np.random.default_rng(seed)
+        for folder in ("image_2", "image_3"):
+            for path in sorted((drive / "training" / folder).iterdir()):
+                coarse = random.integers(0, 256, (8, 16, 3)).astype(np.uint8)
+                assert cv2.imwrite(str(path), cv2.resize(coarse, (128, 64), interpolation=cv2.INTER_CUBIC))
+    return tiny_drive, second
+
+
+@pytest.fixture
+def arguments(toy_directory: Path, drives: tuple[Path, Path]) -> list[object]:
+    return ["quantize", toy_directory, "--calibration", f"kitti-object:{drives[0]}", "--target", "x86-vnni"]
+
+
+def label_with_own_detections(model: Path, drive: Path) -> int:
+    """Replaces the labels by what the float model finds, so that it has an AP to lose; returns how many."""
+    count = 0
+    with open_source(f"kitti-object:{drive}") as source, open_detector(model) as detector:
+        for frame in source:
+            found, _ = detector(frame)
+            lines = []
+            for row in range(min(len(found), 6)):
+                x1, y1, x2, y2 = found.box_in_left_image[row]
+                h, w, length = np.maximum(found.size_hwl[row], 0.5)
+                x, y, z = found.center_in_camera[row]
+                lines.append(
+                    f"Car 0.00 0 {found.alpha_rad[row]:.2f} {x1:.2f} {y1:.2f} {x2:.2f} {max(y2, y1 + 45):.2f} "
+                    f"{h:.2f} {w:.2f} {length:.2f} {x:.2f} {y + h / 2:.2f} {z:.2f} {found.yaw_rad[row]:.2f}\n"
+                )
+            count += len(lines)
+            path = drive / "training" / "label_2" / f"{frame.frame_id}.txt"
+            path.write_text("".join(lines), encoding="utf-8")
+    return count
+
+
+def test_a_model_and_its_report_come_out(arguments, drives, tmp_path, capsys) -> None:
+    out = tmp_path / "int8"
+    validation = ["--validation", f"kitti-object:{drives[1]}"]
+    assert run(*arguments, "--frames", 3, "--out", out, *validation) == 0
+    assert open_model_directory(out).manifest.recipe == "static_wi8_au8_x86_vnni"
+    names = {path.name for path in out.iterdir()}
+    assert names == {"model.onnx", "manifest.json", "priors.npz", "card.md", "report.md", "report.json"}
+    record = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    done = record["quantisation"]
+    assert [frame["frame_id"] for frame in done["calibration_frames"]] == ["000000", "000002", "000003"]
+    assert done["int8_share_of_multiply_adds"]["graph"] == 1.0
+    assert len(done["layers"]) == 14
+    assert len(done["latency"]) == 2
+    assert record["against_first"][0]["matched_share"] <= 1.0
+    text = (out / "report.md").read_text(encoding="utf-8")
+    for part in ("Signal-to-noise", "Cost on this machine", "What stayed float", "static_wi8_au8_x86_vnni"):
+        assert part in text
+    assert str(tmp_path) not in text + (out / "manifest.json").read_text(encoding="utf-8"), "no path of this machine"
+    told = capsys.readouterr().err
+    assert "calibrated on 3 frames of kitti-object:tiny-drive (run)" in told
+    assert sorted(path.name for path in tmp_path.iterdir() if path.name.startswith(".")) == []
+
+    before = (out / "model.onnx").read_bytes()
+    assert run(*arguments, "--frames", 3, "--out", out, *validation) == 0
+    assert "remembered from an earlier run" in capsys.readouterr().err
+    assert (out / "model.onnx").read_bytes() == before
+
+
+def test_measuring_on_calibration_frames_is_warned_about(arguments, drives, tmp_path, capsys) -> None:
+    assert run(*arguments, "--out", tmp_path / "int8", "--validation", f"kitti-object:{drives[0]}") == 0
+    assert "4 of the measured frames calibrated, too" in capsys.readouterr().err
+
+
+def test_a_budget_is_kept_or_missed_with_the_best_named(arguments, drives, tmp_path, toy_directory, capsys) -> None:
+    assert label_with_own_detections(toy_directory, drives[1]) > 0
+    validation = ["--validation", f"kitti-object:{drives[1]}"]
+    out = tmp_path / "wide"
+    assert run(*arguments, "--out", out, *validation, "--max-drop", 100) == 0
+    (step,) = json.loads((out / "report.json").read_text(encoding="utf-8"))["quantisation"]["budget"]
+    assert step["given_back"] == []
+    assert step["holds"]
+    drop = step["drop_points"]
+    assert drop > 0, "the toy network must lose something for this test to say anything"
+    capsys.readouterr()
+
+    out = tmp_path / "narrow"
+    code = run(*arguments, "--out", out, *validation, "--max-drop", drop / 2)
+    steps = json.loads((out / "report.json").read_text(encoding="utf-8"))["quantisation"]["budget"]
+    kept = open_model_directory(out).manifest.provenance["given_back_to_float"]
+    holding = [item for item in steps if item["holds"]]
+    assert len(steps) > 1
+    assert code == (0 if holding else 1)
+    if holding:
+        best = min(holding, key=lambda item: len(item["given_back"]))
+    else:
+        best = min(steps, key=lambda item: item["drop_points"])
+        assert str(out) in capsys.readouterr().err
+    assert kept == (" ".join(sorted(best["given_back"])) or "none")
+
+
+@pytest.mark.parametrize(
+    ("extra", "said"),
+    [
+        (["--max-drop", "1"], "--validation"),
+        (["--target", "z80"], "--target"),
+        (["--calibration", "kitti-object:nowhere"], "nowhere"),
+        (["--method", "guess"], "guess"),
+        (["--frames", "0"], "frames"),
+    ],
+)
+def test_wrong_input_is_one_line(arguments, extra, said, tmp_path, capsys) -> None:
+    assert run(*arguments, "--out", tmp_path / "int8", *extra) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len([line for line in lines if line.startswith("error:")]) == 1
+    assert said in lines[-1]
+    assert not (tmp_path / "int8").exists()
+
+
+def test_a_budget_without_labels_is_refused(arguments, drives, tmp_path, capsys) -> None:
+    shutil.rmtree(drives[1] / "training" / "label_2")
+    validation = ["--validation", f"kitti-object:{drives[1]}", "--max-drop", 1]
+    assert run(*arguments, "--out", tmp_path / "int8", *validation) == 2
+    assert "no labelled objects" in capsys.readouterr().err
+    assert not (tmp_path / "int8").exists()
+
+
+def test_frames_of_another_camera_are_refused(arguments, drives, tmp_path, capsys) -> None:
+    for path in (drives[0] / "training" / "calib").iterdir():
+        path.write_text(path.read_text(encoding="utf-8").replace("2.0000", "4.0000"), encoding="utf-8")
+    assert run(*arguments, "--out", tmp_path / "int8") == 2
+    assert "--allow-other-rig" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("uri", "shown"),
+    [
+        ("kitti-object:/data/kitti/object?split=train", "kitti-object:object?split=train"),
+        ("images:/a/l/*.png,/a/r/*.png?geometry=/a/rig.json&limit=5", "images:*.png,*.png?limit=5"),
+        ("kitti-raw:drive", "kitti-raw:drive"),
+        ("oak:", "oak:"),
+    ],
+)
+def test_names_of_sources_hold_no_folders(uri, shown) -> None:
+    assert public_name(uri) == shown
