@@ -227,7 +227,7 @@ def read_priors(path: Path, classes: tuple[str, ...], anchors: AnchorLayout) -> 
     shape = (anchors.scale_count, len(anchors.ratios), len(PRIOR_QUANTITIES))
     tables: dict[str, NDArray[np.float32]] = {}
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
             for name in classes:
                 for part in ("mean", "std"):
                     tables[f"{name}_{part}"] = archive[f"{name}_{part}"].astype(np.float32)

@@ -47,7 +47,9 @@ def small_preset() -> Preset:
     neck = NeckShape(16, 8, 8, 4, 16, 16, 16, (16, 16), 96)
     network = NetworkShape(18, (16, 16, 16), neck, HeadShape(16, 16, 1, 0.0, 0.01))
     training = replace(compact.training, frozen_backbone_parts=0)
-    return replace(compact, input_size_hw=(96, 448), rig=replace(compact.rig, focal_px=260.0), network=network, training=training)
+    return replace(
+        compact, input_size_hw=(96, 448), rig=replace(compact.rig, focal_px=260.0), network=network, training=training
+    )
 
 
 def plain_priors(chosen: Preset) -> AnchorPriors:
@@ -74,12 +76,23 @@ def dataset(tmp_path: Path) -> str:
 
 def settings(steps: int, **changes: object) -> RunSettings:
     base = RunSettings(
-        steps, 2, 2e-3, 1e-4, cooldown_steps=2, warmup_steps=2, workers=0, mixed_precision=False, checkpoint_every=4, log_every=1
+        steps,
+        2,
+        2e-3,
+        1e-4,
+        cooldown_steps=2,
+        warmup_steps=2,
+        workers=0,
+        mixed_precision=False,
+        checkpoint_every=4,
+        log_every=1,
     )
     return replace(base, **changes)  # type: ignore[arg-type]
 
 
-def run(dataset: str, folder: Path, steps: int, *, resume: bool = False, total: int | None = None) -> dict[str, torch.Tensor]:
+def run(
+    dataset: str, folder: Path, steps: int, *, resume: bool = False, total: int | None = None
+) -> dict[str, torch.Tensor]:
     chosen = small_preset()
     folder.mkdir(exist_ok=True)
     torch.manual_seed(1)
