@@ -25,7 +25,7 @@ from runtime.preprocess import network_view
 
 LINE = "Car 0.10 1 1.57 100.00 150.00 200.00 220.00 1.50 1.60 3.90 -2.00 1.70 20.00 1.47"
 OFFICIAL_WRITER_MINIMUM = 0.4  # the official writer leaves lower scores out; ours leaves that to the caller
-OFFICIAL_WRITER_ROUNDING = 5e-5  # it computes in float32: one unit in the last place at 400 px is 3e-5
+OFFICIAL_WRITER_ROUNDING = 6.2e-5  # it computes in float32: one unit in the last place at 700 px is 6.1e-5
 
 
 def test_empty_files() -> None:
