@@ -154,6 +154,7 @@ def open_session(
     use_native: bool = True,
     profile: Path | None = None,
     optimize: bool = True,
+    prepack: bool = True,
     name: str | None = None,
 ) -> Session:
     """Loads a model on the CPU.
@@ -164,6 +165,8 @@ def open_session(
         use_native: Whether to take the native correlation library where it was built; ``EDGE_NATIVE=0`` wins.
         profile: Prefix of a JSON file that tells the time of each operator; written by ``end_profiling``.
         optimize: Whether ONNX Runtime may fuse operators; False keeps each node as the file has it.
+        prepack: Whether kernels may keep weights in a layout of their own; False is slower and leaves the weights'
+            shapes in the profile.
         name: What error messages call the model; its path, or "model" for bytes, where not given.
 
     Returns:
@@ -177,13 +180,13 @@ def open_session(
     if isinstance(source, str) and not Path(source).is_file():
         raise SessionError(f"{label}: found no such file; expected an ONNX model; check the path or export one")
 
-    options = _options(threads=threads, profile=profile, optimize=optimize)
+    options = _options(threads=threads, profile=profile, optimize=optimize, prepack=prepack)
     native_loaded, notice = False, None
     if use_native and os.environ.get(ENVIRONMENT_SWITCH, "1") != "0":
         refusal = _register_native(options)
         native_loaded = refusal is None
         if refusal is not None:
-            options = _options(threads=threads, profile=profile, optimize=optimize)
+            options = _options(threads=threads, profile=profile, optimize=optimize, prepack=prepack)
             notice = refusal if _has_custom_nodes(source) else None
     if notice is not None and notice not in _said:
         _said.add(notice)
@@ -195,10 +198,12 @@ def open_session(
     return Session(session, name=label, native_loaded=native_loaded, notice=notice)
 
 
-def _options(*, threads: int | None, profile: Path | None, optimize: bool) -> ort.SessionOptions:
+def _options(*, threads: int | None, profile: Path | None, optimize: bool, prepack: bool) -> ort.SessionOptions:
     options = ort.SessionOptions()
     options.log_severity_level = _FATAL_ONLY
     options.inter_op_num_threads = 1
+    if not prepack:
+        options.add_session_config_entry("session.disable_prepacking", "1")
     if threads is not None:
         if threads < 1:
             raise SessionError(f"threads: found {threads}; expected at least 1; leave it out for all cores")

@@ -71,26 +71,30 @@ def latency_table(records: list[ModelBench]) -> Table:
     """Medians with the middle four fifths, one row a model."""
     from edge.report.document import model_names
     from edge.report.rows import Table
+    from runtime.bench import TOTAL
     from runtime.contracts.measurement import Measurement
 
     names = model_names([Measurement(path=item.path, ap={}, frames=0) for item in records])
-    stages = list(records[0].stages)
-    rows = tuple(
-        (
-            name,
-            item.recipe,
-            *(f"{value.median:.1f} [{value.low:.1f}, {value.high:.1f}]" for value in item.stages.values()),
-            f"{item.ratio:.2f}",
-            f"{item.start_up_ms:.0f}",
-            "-" if item.memory_mib is None else f"{item.memory_mib:.0f}",
+    stages = [stage for stage in records[0].stages if stage != TOTAL]
+    rows = []
+    for name, item in zip(names, records, strict=True):
+        total = item.stages[TOTAL]
+        rows.append(
+            (
+                name,
+                item.recipe,
+                *(f"{item.stages[stage].median:.1f}" for stage in stages),
+                f"{total.median:.1f} [{total.low:.1f}, {total.high:.1f}]",
+                f"{item.ratio:.2f}",
+                f"{item.start_up_ms:.0f}",
+                "-" if item.memory_mib is None else f"{item.memory_mib:.0f}",
+            )
         )
-        for name, item in zip(names, records, strict=True)
-    )
     correlation = {"native library" if item.native else "function body" for item in records}
     return Table(
-        "Latency in ms a frame: median [p10, p90]",
-        ("model", "recipe", *stages, "ratio", "start-up ms", "memory MiB"),
-        rows,
+        "Latency in ms a frame, medians",
+        ("model", "recipe", *stages, "total [p10, p90]", "ratio", "start-up", "MiB"),
+        tuple(rows),
         note=f"{records[0].runs} runs a model, in turns; correlation: {', '.join(sorted(correlation))}.",
     )
 

@@ -91,6 +91,9 @@ def test_the_correlation_runs_in_8_bits_and_counts(toy_model, toy_feeds) -> None
     assert kinds[QLINEAR_STEREO_CORRELATION] == 1
     assert kinds[STEREO_CORRELATION] == 0
     assert int8_share(nodes) == 1.0
+    folded = fold_pixels(toy_model).model
+    shapes = tensor_shapes(folded)
+    assert sum(node.multiply_adds for node in nodes) == sum(multiply_adds(n, shapes) for n in folded.graph.node)
     volume = next(node for node in nodes if node.operator == QLINEAR_STEREO_CORRELATION)
     assert volume.multiply_adds == 6 * 8 * 8 * 16  # D, C, H, W
 

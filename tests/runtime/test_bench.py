@@ -103,6 +103,11 @@ def test_multiply_adds_and_times_from_events() -> None:
     assert int8_share(nodes.values()) == pytest.approx(in_8_bits / (in_8_bits + 16 * 64 * 27))
 
 
+def test_a_packed_weight_counts_as_unknown() -> None:
+    packed = event("qconv", "QLinearConv", 10, [[1, 8, 8, 8], [], [], [4], [4]], [1, 4, 8, 8])
+    assert node_times([packed], runs=1)[0].multiply_adds == 0
+
+
 def test_no_events_no_nodes() -> None:
     assert node_times([], runs=1) == []
     assert int8_share([]) == 0.0
