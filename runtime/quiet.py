@@ -5,10 +5,12 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import cv2
 
-_SILENT = cv2.utils.logging.LOG_LEVEL_SILENT
+_log: Any = cv2.utils.logging if hasattr(cv2.utils, "logging") else cv2  # where OpenCV 5 and 4 keep the functions
+_SILENT = 0
 _FFMPEG_LEVEL, _FFMPEG_QUIET = "OPENCV_FFMPEG_LOGLEVEL", "-8"
 
 
@@ -16,9 +18,9 @@ _FFMPEG_LEVEL, _FFMPEG_QUIET = "OPENCV_FFMPEG_LOGLEVEL", "-8"
 def quiet_opencv() -> Iterator[None]:
     """Silences OpenCV's log inside the block; process-wide, as the log is."""
     os.environ.setdefault(_FFMPEG_LEVEL, _FFMPEG_QUIET)  # read when the first video is opened
-    before = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(_SILENT)
+    before = _log.getLogLevel()
+    _log.setLogLevel(_SILENT)
     try:
         yield
     finally:
-        cv2.utils.logging.setLogLevel(before)
+        _log.setLogLevel(before)
