@@ -113,7 +113,7 @@ def operator_table(path: str, nodes: list[NodeTime]) -> Table:
         giga = sum(item.multiply_adds for item in rest) / 1e9
         rows.append(("all others", str(count), f"{ms:.2f}", f"{giga:.2f}"))
     return Table(
-        f"{path}: operators as ONNX Runtime ran them",
+        f"{Path(path).name}: operators as they ran",
         ("operator", "nodes", "ms", "G multiply-adds"),
         tuple(rows),
         note=f"{100 * int8_share(nodes):.1f} % of the multiply-adds ran in 8 bits.",
