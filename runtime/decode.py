@@ -113,7 +113,7 @@ class Decoder:
         policy = self._manifest.nms
         keep = non_maximum_suppression(
             found.boxes[:, X1 : Y2 + 1].astype(np.float64),
-            found.score,
+            found.score.astype(np.float64),
             policy.iou,
             groups=found.class_id if policy.per_class else None,
         )

@@ -14,7 +14,8 @@ def iou_one_to_many(box: FloatArray, boxes: FloatArray) -> FloatArray:
     overlap = np.prod(np.maximum(overlap_wh, 0.0), axis=1)
     areas = np.prod(boxes[:, 2:] - boxes[:, :2], axis=1)
     union: FloatArray = np.prod(box[2:] - box[:2]) + areas - overlap
-    return np.divide(overlap, union, out=np.zeros_like(overlap), where=union > 0)
+    iou: FloatArray = np.divide(overlap, union, out=np.zeros_like(overlap), where=union > 0)
+    return iou
 
 
 def non_maximum_suppression(

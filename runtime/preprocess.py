@@ -42,12 +42,14 @@ class NetworkView:
     def to_camera(self, box_in_network_image: FloatArray) -> FloatArray:
         """Boxes (N, 4) xyxy from network pixels to camera pixels."""
         shift = np.array([0.0, self.top_row, 0.0, self.top_row])
-        return box_in_network_image / self.scale + shift
+        boxes: FloatArray = box_in_network_image / self.scale + shift
+        return boxes
 
     def to_network(self, box_in_camera_image: FloatArray) -> FloatArray:
         """Boxes (N, 4) xyxy from camera pixels to network pixels."""
         shift = np.array([0.0, self.top_row, 0.0, self.top_row])
-        return (box_in_camera_image - shift) * self.scale
+        boxes: FloatArray = (box_in_camera_image - shift) * self.scale
+        return boxes
 
 
 def network_view(geometry: StereoGeometry, manifest: Manifest) -> NetworkView:

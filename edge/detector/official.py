@@ -42,6 +42,6 @@ def from_official(state: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
         if _IGNORED.search(name):
             continue
         for pattern, replacement in _RENAMES:
-            name = pattern.sub(replacement, name)  # noqa: PLW2901
+            name = pattern.sub(replacement, name)
         renamed[name] = value
     return renamed

@@ -54,7 +54,8 @@ class StereoFrame:
         if self.geometry.image_size_wh != self.size_wh:
             raise FrameError(
                 f"frame {self.frame_id}: images are {_size(self.left)} pixels, the geometry is for "
-                f"{self.geometry.image_size_wh[0]}x{self.geometry.image_size_wh[1]}; give the geometry of this image size"
+                f"{self.geometry.image_size_wh[0]}x{self.geometry.image_size_wh[1]}; "
+                "give the geometry of this image size"
             )
 
     @property

@@ -86,4 +86,5 @@ def project_to_image(projection: FloatArray, points: FloatArray) -> tuple[FloatA
 def back_project(projection: FloatArray, pixels: FloatArray, depth_m: FloatArray) -> FloatArray:
     """Invert `project_to_image`: pixels (N, 2) and third homogeneous coordinate (N,) to points (N, 3) in metres."""
     rhs = np.concatenate([pixels * depth_m[:, None], depth_m[:, None]], axis=1) - projection[:, 3]
-    return np.linalg.solve(projection[:, :3], rhs.T).T
+    points: FloatArray = np.linalg.solve(projection[:, :3], rhs.T).T.astype(np.float64, copy=False)
+    return points

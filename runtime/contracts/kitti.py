@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from runtime.contracts.errors import FormatError
-from runtime.contracts.geometry import StereoGeometry
-from runtime.contracts.objects import Detections3D, FloatArray, Objects3D
+from runtime.contracts.geometry import FloatArray, StereoGeometry
+from runtime.contracts.objects import Detections3D, Objects3D
 
 KITTI_CLASSES = ("Car", "Van", "Truck", "Pedestrian", "Person_sitting", "Cyclist", "Tram", "Misc")
 DONT_CARE = "DontCare"
@@ -39,7 +39,8 @@ def _parse_rows(lines: Iterable[str], *, where: str, lead: int, with_score: bool
         wanted = _LABEL_FIELDS + (1 if with_score else 0)
         if len(body) < wanted or len(body) > _LABEL_FIELDS + 1:
             raise FormatError(
-                f"{where} line {number} has {len(words)} fields, expected {wanted + lead}; it is not KITTI text of this kind"
+                f"{where} line {number} has {len(words)} fields, expected {wanted + lead}; "
+                "it is not KITTI text of this kind"
             )
         try:
             rows.append(_Row(body[0], tuple(float(word) for word in body[1:]), int(words[1]) if lead else -1))

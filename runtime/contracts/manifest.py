@@ -305,7 +305,8 @@ def _build(kind: Any, value: Any, where: str) -> Any:
         ]
         if missing:
             raise ManifestError(f"{where} lacks the key {missing[0]!r}, expected {', '.join(known)}; export again")
-        return kind(**{name: _build(hints[name], item, f"{where}: {name}") for name, item in value.items()})
+        made: Any = kind
+        return made(**{name: _build(hints[name], item, f"{where}: {name}") for name, item in value.items()})
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin is Literal:
         if value not in arguments or isinstance(value, bool):

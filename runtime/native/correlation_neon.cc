@@ -50,6 +50,7 @@ struct NeonQuantized {
 
 }  // namespace
 
-const Kernels kNeonKernels = {"neon", CorrelateFloatRows<NeonFloat>, CorrelateQuantizedRows<NeonQuantized>};
+const Kernels kNeonKernels = {"neon", CorrelateFloatRows<NeonFloat>,
+                              CorrelateQuantizedRows<NeonQuantized>};
 
 }  // namespace edge

@@ -1,11 +1,11 @@
 // The kernel, written once for all instruction sets; each .cc brings its vector type.
 //
 // Per image row, both views are first packed: channels of one row side by side, the right view with
-// zeros for the columns left of the image. That makes every load a plain one (columns x < d meet the
-// zeros and give 0 by themselves), and keeps a row's data together, where the distance between the
-// channels of an image, often a multiple of 2 KiB, would let them evict each other from the cache.
-// A tile then holds one vector of columns for a group of disparities in registers over all channels:
-// one load of the left view serves the whole group.
+// zeros for the columns left of the image. That makes every load a plain one (columns x < d meet
+// the zeros and give 0 by themselves), and keeps a row's data together, where the distance between
+// the channels of an image, often a multiple of 2 KiB, would let them evict each other from the
+// cache. A tile then holds one vector of columns for a group of disparities in registers over all
+// channels: one load of the left view serves the whole group.
 //
 // A packed word has four bytes: a float, or the int16 differences (value - zero point) of two
 // channels, whose products one instruction adds up. The same loops serve both.

@@ -1,8 +1,8 @@
 // The part of ONNX Runtime's C interface that the operators need, declared by us.
 //
-// OrtApi is a table of function pointers to which every release only appends, so a function is known
-// by its place. The places below are those of API version 18 (onnxruntime 1.18 and newer); a test loads
-// the library into the installed onnxruntime and compares results, which guards them.
+// OrtApi is a table of function pointers to which every release only appends, so a function is
+// known by its place. The places below are those of API version 18 (onnxruntime 1.18 and newer); a
+// test loads the library into the installed onnxruntime and compares results, which guards them.
 #ifndef EDGE_STEREO_ORT_API_H_
 #define EDGE_STEREO_ORT_API_H_
 
@@ -54,7 +54,8 @@ struct OrtCustomOp {
   int (*GetVariadicInputHomogeneity)(const OrtCustomOp*);
   int (*GetVariadicOutputMinArity)(const OrtCustomOp*);
   int (*GetVariadicOutputHomogeneity)(const OrtCustomOp*);
-  OrtStatus* (*CreateKernelV2)(const OrtCustomOp*, const void* api, const OrtKernelInfo*, void** kernel);
+  OrtStatus* (*CreateKernelV2)(const OrtCustomOp*, const void* api, const OrtKernelInfo*,
+                               void** kernel);
   OrtStatus* (*KernelComputeV2)(void* kernel, OrtKernelContext*);
   OrtStatus* (*InferOutputShape)(const OrtCustomOp*, OrtShapeInferContext*);
   int (*GetStartVersion)(const OrtCustomOp*);
@@ -94,8 +95,10 @@ class OrtApi {
   OrtStatus* SetElementType(OrtTensorTypeAndShapeInfo* info, ElementType type) const {
     return At<OrtStatus*(OrtTensorTypeAndShapeInfo*, int)>(58)(info, type);
   }
-  OrtStatus* SetDimensions(OrtTensorTypeAndShapeInfo* info, const int64_t* dims, size_t count) const {
-    return At<OrtStatus*(OrtTensorTypeAndShapeInfo*, const int64_t*, size_t)>(59)(info, dims, count);
+  OrtStatus* SetDimensions(OrtTensorTypeAndShapeInfo* info, const int64_t* dims,
+                           size_t count) const {
+    return At<OrtStatus*(OrtTensorTypeAndShapeInfo*, const int64_t*, size_t)>(59)(info, dims,
+                                                                                  count);
   }
   OrtStatus* GetElementType(const OrtTensorTypeAndShapeInfo* info, ElementType* type) const {
     return At<OrtStatus*(const OrtTensorTypeAndShapeInfo*, ElementType*)>(60)(info, type);
@@ -103,8 +106,10 @@ class OrtApi {
   OrtStatus* GetDimensionCount(const OrtTensorTypeAndShapeInfo* info, size_t* count) const {
     return At<OrtStatus*(const OrtTensorTypeAndShapeInfo*, size_t*)>(61)(info, count);
   }
-  OrtStatus* GetDimensions(const OrtTensorTypeAndShapeInfo* info, int64_t* dims, size_t count) const {
-    return At<OrtStatus*(const OrtTensorTypeAndShapeInfo*, int64_t*, size_t)>(62)(info, dims, count);
+  OrtStatus* GetDimensions(const OrtTensorTypeAndShapeInfo* info, int64_t* dims,
+                           size_t count) const {
+    return At<OrtStatus*(const OrtTensorTypeAndShapeInfo*, int64_t*, size_t)>(62)(info, dims,
+                                                                                  count);
   }
   OrtStatus* GetTensorInfo(const OrtValue* value, OrtTensorTypeAndShapeInfo** info) const {
     return At<OrtStatus*(const OrtValue*, OrtTensorTypeAndShapeInfo**)>(65)(value, info);
@@ -113,7 +118,8 @@ class OrtApi {
     return At<OrtStatus*(const OrtKernelInfo*, const char*, int64_t*)>(86)(info, name, value);
   }
   OrtStatus* GetInput(const OrtKernelContext* context, size_t index, const OrtValue** value) const {
-    return At<OrtStatus*(const OrtKernelContext*, size_t, const OrtValue**)>(90)(context, index, value);
+    return At<OrtStatus*(const OrtKernelContext*, size_t, const OrtValue**)>(90)(context, index,
+                                                                                 value);
   }
   OrtStatus* GetOutput(OrtKernelContext* context, size_t index, const int64_t* dims, size_t count,
                        OrtValue** value) const {
@@ -135,8 +141,8 @@ class OrtApi {
   }
   OrtStatus* SetOutputInfo(const OrtShapeInferContext* context, size_t index,
                            const OrtTensorTypeAndShapeInfo* info) const {
-    return At<OrtStatus*(const OrtShapeInferContext*, size_t, const OrtTensorTypeAndShapeInfo*)>(270)(
-        context, index, info);
+    return At<OrtStatus*(const OrtShapeInferContext*, size_t, const OrtTensorTypeAndShapeInfo*)>(
+        270)(context, index, info);
   }
   OrtStatus* ReadInt(const OrtOpAttr* attribute, int64_t* value) const {
     size_t written = 0;
@@ -146,8 +152,8 @@ class OrtApi {
   // Calls work(data, i) for i in [0, count) on ONNX Runtime's own threads and waits for them.
   OrtStatus* ParallelFor(const OrtKernelContext* context, void (*work)(void*, size_t), size_t count,
                          void* data) const {
-    return At<OrtStatus*(const OrtKernelContext*, void (*)(void*, size_t), size_t, size_t, void*)>(274)(
-        context, work, count, 0, data);
+    return At<OrtStatus*(const OrtKernelContext*, void (*)(void*, size_t), size_t, size_t, void*)>(
+        274)(context, work, count, 0, data);
   }
 
  private:

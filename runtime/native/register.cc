@@ -8,8 +8,8 @@
 #include "correlation.h"
 #include "ort_api.h"
 
-#define EDGE_RETURN_IF_ERROR(call)            \
-  do {                                        \
+#define EDGE_RETURN_IF_ERROR(call)                       \
+  do {                                                   \
     if (edge::OrtStatus* status = (call)) return status; \
   } while (false)
 
@@ -40,14 +40,16 @@ struct Tensor {
   int64_t dims[4] = {0, 0, 0, 0};
 };
 
-OrtStatus* ReadInput(const OrtApi& api, const OrtKernelContext* context, size_t index, Tensor* tensor) {
+OrtStatus* ReadInput(const OrtApi& api, const OrtKernelContext* context, size_t index,
+                     Tensor* tensor) {
   const OrtValue* value = nullptr;
   EDGE_RETURN_IF_ERROR(api.GetInput(context, index, &value));
   OrtTensorTypeAndShapeInfo* info = nullptr;
   EDGE_RETURN_IF_ERROR(api.GetTensorInfo(value, &info));
   OrtStatus* status = api.GetElementType(info, &tensor->type);
   if (status == nullptr) status = api.GetDimensionCount(info, &tensor->rank);
-  if (status == nullptr && tensor->rank <= 4) status = api.GetDimensions(info, tensor->dims, tensor->rank);
+  if (status == nullptr && tensor->rank <= 4)
+    status = api.GetDimensions(info, tensor->dims, tensor->rank);
   api.ReleaseInfo(info);
   if (status != nullptr) return status;
   return api.GetTensorMutableData(const_cast<OrtValue*>(value), &tensor->data);
@@ -57,11 +59,12 @@ OrtStatus* CheckViews(const OrtApi& api, const Tensor& left, const Tensor& right
   bool same = left.rank == 4 && right.rank == 4 && left.dims[1] > 0;
   for (size_t i = 0; same && i < 4; ++i) same = left.dims[i] == right.dims[i];
   if (same) return nullptr;
-  return api.CreateStatus(kInvalidArgument,
-                          "stereo correlation: left and right must both be [B, C, H, W] with C >= 1");
+  return api.CreateStatus(
+      kInvalidArgument, "stereo correlation: left and right must both be [B, C, H, W] with C >= 1");
 }
 
-OrtStatus* MakeOutput(const OrtApi& api, OrtKernelContext* context, const Shape& shape, void** data) {
+OrtStatus* MakeOutput(const OrtApi& api, OrtKernelContext* context, const Shape& shape,
+                      void** data) {
   const int64_t dims[] = {shape.batch, shape.disparities, shape.height, shape.width};
   OrtValue* value = nullptr;
   EDGE_RETURN_IF_ERROR(api.GetOutput(context, 0, dims, 4, &value));
@@ -108,8 +111,9 @@ OrtStatus* ComputeFloat(void* self, OrtKernelContext* context) {
   void* volume = nullptr;
   EDGE_RETURN_IF_ERROR(MakeOutput(kernel.api, context, shape, &volume));
   return ForAllRows(kernel.api, context, shape, [&](int64_t first, int64_t last, void* scratch) {
-    kernel.kernels->float_rows(static_cast<const float*>(left.data), static_cast<const float*>(right.data),
-                               static_cast<float*>(volume), shape, first, last, scratch);
+    kernel.kernels->float_rows(static_cast<const float*>(left.data),
+                               static_cast<const float*>(right.data), static_cast<float*>(volume),
+                               shape, first, last, scratch);
   });
 }
 
@@ -134,12 +138,14 @@ OrtStatus* CheckQuantized(const OrtApi& api, const Tensor* inputs) {
     fits = fits && IsByte(inputs[tensor].type) && inputs[tensor + 2].type == inputs[tensor].type;
   }
   for (size_t scale : {kLeft + 1, kRight + 1, kOutputScale}) {
-    fits = fits && inputs[scale].type == kFloat && IsScalar(inputs[scale]) && IsScalar(inputs[scale + 1]);
+    fits = fits && inputs[scale].type == kFloat && IsScalar(inputs[scale]) &&
+           IsScalar(inputs[scale + 1]);
   }
   if (fits && IsByte(inputs[kOutputZeroPoint].type)) return nullptr;
-  return api.CreateStatus(kInvalidArgument,
-                          "quantized stereo correlation: tensors must be uint8 or int8 with at most 33025"
-                          " channels, zero points scalars of their tensor's type, scales float scalars");
+  return api.CreateStatus(
+      kInvalidArgument,
+      "quantized stereo correlation: tensors must be uint8 or int8 with at most 33025"
+      " channels, zero points scalars of their tensor's type, scales float scalars");
 }
 
 OrtStatus* ComputeQuantized(void* self, OrtKernelContext* context) {
@@ -151,17 +157,21 @@ OrtStatus* ComputeQuantized(void* self, OrtKernelContext* context) {
   EDGE_RETURN_IF_ERROR(CheckQuantized(kernel.api, inputs));
   const int64_t* dims = inputs[kLeft].dims;
   const Shape shape = {dims[0], dims[1], dims[2], dims[3], kernel.disparities};
-  const auto scale = [&](size_t index) { return double{*static_cast<const float*>(inputs[index].data)}; };
-  const float multiplier = static_cast<float>(scale(kLeft + 1) * scale(kRight + 1) /
-                                              (static_cast<double>(shape.channels) * scale(kOutputScale)));
+  const auto scale = [&](size_t index) {
+    return double{*static_cast<const float*>(inputs[index].data)};
+  };
+  const float multiplier =
+      static_cast<float>(scale(kLeft + 1) * scale(kRight + 1) /
+                         (static_cast<double>(shape.channels) * scale(kOutputScale)));
   if (!std::isfinite(multiplier)) {
-    return kernel.api.CreateStatus(kInvalidArgument,
-                                   "quantized stereo correlation: scales must be finite and not zero");
+    return kernel.api.CreateStatus(
+        kInvalidArgument, "quantized stereo correlation: scales must be finite and not zero");
   }
   void* volume = nullptr;
   EDGE_RETURN_IF_ERROR(MakeOutput(kernel.api, context, shape, &volume));
   const auto view = [&](size_t index) {
-    return QuantizedView{inputs[index].data, ByteValue(inputs[index + 2]), inputs[index].type == kInt8};
+    return QuantizedView{inputs[index].data, ByteValue(inputs[index + 2]),
+                         inputs[index].type == kInt8};
   };
   const QuantizedView left = view(kLeft), right = view(kRight);
   const Tensor& zero_point = inputs[kOutputZeroPoint];
@@ -171,21 +181,25 @@ OrtStatus* ComputeQuantized(void* self, OrtKernelContext* context) {
   });
 }
 
-OrtStatus* CreateKernel(const OrtCustomOp*, const void* table, const OrtKernelInfo* info, void** kernel) {
+OrtStatus* CreateKernel(const OrtCustomOp*, const void* table, const OrtKernelInfo* info,
+                        void** kernel) {
   const OrtApi api(table);
   int64_t disparities = 0;
   EDGE_RETURN_IF_ERROR(api.GetAttribute(info, kAttribute, &disparities));
   if (disparities < 1) {
-    return api.CreateStatus(kInvalidArgument, "stereo correlation: max_disparity must be at least 1");
+    return api.CreateStatus(kInvalidArgument,
+                            "stereo correlation: max_disparity must be at least 1");
   }
   const Kernels* kernels = SelectKernels(std::getenv(kInstructionSet));
   if (kernels == nullptr) {
-    return api.CreateStatus(kInvalidArgument,
-                            "stereo correlation: EDGE_NATIVE_ISA must be one of scalar, avx2, avx512, vnni, neon"
-                            " that this machine runs");
+    return api.CreateStatus(
+        kInvalidArgument,
+        "stereo correlation: EDGE_NATIVE_ISA must be one of scalar, avx2, avx512, vnni, neon"
+        " that this machine runs");
   }
   *kernel = new (std::nothrow) Kernel{api, kernels, disparities};
-  return *kernel != nullptr ? nullptr : api.CreateStatus(kFail, "stereo correlation: out of memory");
+  return *kernel != nullptr ? nullptr
+                            : api.CreateStatus(kFail, "stereo correlation: out of memory");
 }
 
 void DestroyKernel(void* kernel) { delete static_cast<Kernel*>(kernel); }
@@ -266,7 +280,8 @@ OrtStatus* SharedDomain(const OrtApi& api, const void* table, OrtCustomOpDomain*
     return op;
   }();
   static Operator quantized_op = [&] {
-    Operator op = MakeOperator("QLinearStereoCorrelation", kQuantizedInputs, kOutputZeroPoint, table);
+    Operator op =
+        MakeOperator("QLinearStereoCorrelation", kQuantizedInputs, kOutputZeroPoint, table);
     op.GetInputType = QuantizedInputType;
     op.GetOutputType = [](const OrtCustomOp*, size_t) { return kUndefined; };
     op.KernelComputeV2 = ComputeQuantized;

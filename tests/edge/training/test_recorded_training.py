@@ -103,8 +103,8 @@ def test_head_loss_and_gradients(reference_dir: Path, priors: AnchorPriors, make
     raw = make_inputs.head_predictions(21, 5760, 2, -3, 1.5, 0, 0.5, batch=2)
     logits, deltas = (torch.tensor(array, requires_grad=True) for array in raw)
     images = []
-    for annotations in recorded["annotations"]:
-        t = assign(truth_of(annotations), grid, usable, priors=priors)
+    for rows in recorded["annotations"]:
+        t = assign(truth_of(rows), grid, usable, priors=priors)
         tensors = (torch.from_numpy(x) for x in (t.label, t.positive, t.deltas, t.facing))
         images.append(ImageTargets(*tensors, t.object_count))
     weights = torch.tensor(preset("paper").training.class_weights)

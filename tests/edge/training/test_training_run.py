@@ -155,7 +155,7 @@ def test_weights_round_trip_and_refusal(tmp_path: Path) -> None:
 
 
 def test_pickles_do_not_run(tmp_path: Path) -> None:
-    import pickle  # noqa: S403, TID251 - the attack itself
+    import pickle  # noqa: TID251 - the attack itself
 
     class Bomb:
         def __reduce__(self):  # type: ignore[no-untyped-def]

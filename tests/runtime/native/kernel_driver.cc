@@ -1,7 +1,6 @@
-// Runs every kernel that this machine has over awkward sizes, on buffers of exactly the needed size, so
-// that the address and undefined-behaviour sanitizers see any step beside them; compares with plain loops.
-#include "correlation.h"
-
+// Runs every kernel that this machine has over awkward sizes, on buffers of exactly the needed
+// size, so that the address and undefined-behaviour sanitizers see any step beside them; compares
+// with plain loops.
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
@@ -9,6 +8,8 @@
 #include <limits>
 #include <random>
 #include <vector>
+
+#include "correlation.h"
 
 namespace {
 
