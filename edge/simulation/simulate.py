@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import multiprocessing
 import os
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
@@ -184,8 +185,17 @@ _worker: _Worker | None = None
 
 def _start_worker(job: _Job) -> None:
     global _job
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     os.environ.setdefault("LP_NUM_THREADS", "1")  # Mesa's rasteriser: the processes share the cores already
     _job = job
+
+
+def _end_with_parent() -> None:
+    """A pool's process whose parent was killed would wait for tasks for ever."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _make_in_worker(index: int) -> str:
