@@ -128,9 +128,25 @@ class _Planter:
         sink_m: float = 0.0,
         guard: bool = True,
         apart: bool = False,
+        room_m: float = 0.0,
         scale: float = 1.0,
     ) -> bool:
-        """Place one mesh (model front +z turned by ``turn_rad`` from the road's direction) if its base is free."""
+        """Place one mesh if its base is free.
+
+        Args:
+            name, mesh: what to place; its front, +z, turns by ``turn_rad`` from the road's direction.
+            s, t: road coordinates.
+            turn_rad: as above.
+            size_wd: width and depth of its base.
+            sink_m: how far below the ground it stands.
+            guard: refuse where it would stand between the origin and an object.
+            apart: keep its base clear of buildings, and count it as one.
+            room_m: keep a square of this size clear of buildings.
+            scale: size factor.
+
+        Returns:
+            Whether it was placed.
+        """
         x, z = self._road.point(s, t)
         yaw = float(self._road.heading_at(s)) + turn_rad
         base = Footprint(x, z, yaw, length_m=size_wd[0], width_m=size_wd[1])
@@ -138,6 +154,10 @@ class _Planter:
             return False
         if apart and any(base.overlaps(other) for other in self._taken):
             return False
+        if room_m > 0.0:
+            crown = Footprint(x, z, yaw, length_m=room_m, width_m=room_m)
+            if any(crown.overlaps(other) for other in self._taken):
+                return False
         if guard and self._hides(x, z, yaw, size_wd):
             return False
         if apart:
@@ -320,6 +340,7 @@ class _Planter:
                     t=t,
                     turn_rad=float(rng.uniform(0, 6.3)),
                     size_wd=(1.6, 1.6),
+                    room_m=2.5,
                 )
             else:
                 name, mesh = self._any_tree(s, conifers)
@@ -331,6 +352,7 @@ class _Planter:
                     t=t,
                     turn_rad=float(rng.uniform(0, 6.3)),
                     size_wd=(wide, wide),
+                    room_m=5.0,
                     scale=float(rng.uniform(0.8, 1.25)),
                 )
 
@@ -348,6 +370,7 @@ class _Planter:
                 t=side * t_m,
                 turn_rad=float(rng.uniform(0, 6.3)),
                 size_wd=(0.5, 0.5),
+                room_m=1.5,
                 scale=float(rng.uniform(0.85, 1.15)),
                 guard=bool(rng.random() < 0.8),
             )

@@ -172,15 +172,13 @@ def tree_line(index: int) -> Mesh:
     rng = np.random.default_rng([_LIBRARY_SEED, 5, index])
     green = _GREENS[index % 5]
     parts = []
-    for x in np.arange(-20.0, 20.0, 4.2):
+    for x in np.arange(-20.0, 20.0, 4.4):
         height = float(rng.uniform(7.0, 14.0))
-        blob = ellipsoid(
-            (x + rng.normal(0, 0.6), -0.52 * height, rng.normal(0, 1.5)),
-            (3.4, 0.52 * height, 2.6),
-            material=Material.FOLIAGE,
-            colour=_shade(green, rng),
-            sides=8,
-            rings=6,
-        )
-        parts.append(_lumpy(blob, rng, 0.5))
+        place = np.array([x + rng.normal(0.0, 0.6), 0.0, rng.normal(0.0, 1.5)])
+        tone = _shade(green, rng)
+        for level, size in ((0.3, 2.9), (0.55, 2.5), (0.66, 2.0), (0.84, 1.5)):
+            centre = place + np.array([rng.normal(0.0, 1.1), -level * height, rng.normal(0.0, 0.6)])
+            radii = (size * rng.uniform(0.8, 1.2), 0.2 * height * rng.uniform(0.8, 1.2), size)
+            blob = ellipsoid(centre, radii, material=Material.FOLIAGE, colour=_shade(tone, rng), sides=7, rings=4)
+            parts.append(_lumpy(blob, rng, 0.22))
     return join(parts)
