@@ -10,10 +10,11 @@ from runtime.contracts.geometry import FloatArray
 
 def iou_one_to_many(box: FloatArray, boxes: FloatArray) -> FloatArray:
     """Intersection over union of one xyxy box with (N, 4) others."""
-    overlap_wh = np.minimum(box[2:], boxes[:, 2:]) - np.maximum(box[:2], boxes[:, :2])
-    overlap = np.prod(np.maximum(overlap_wh, 0.0), axis=1)
-    areas = np.prod(boxes[:, 2:] - boxes[:, :2], axis=1)
-    union: FloatArray = np.prod(box[2:] - box[:2]) + areas - overlap
+    width = np.minimum(box[2], boxes[:, 2]) - np.maximum(box[0], boxes[:, 0])
+    height = np.minimum(box[3], boxes[:, 3]) - np.maximum(box[1], boxes[:, 1])
+    overlap = np.maximum(width, 0.0) * np.maximum(height, 0.0)
+    areas = (boxes[:, 2] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 1])
+    union = (box[2] - box[0]) * (box[3] - box[1]) + areas - overlap
     iou: FloatArray = np.divide(overlap, union, out=np.zeros_like(overlap), where=union > 0)
     return iou
 
@@ -33,12 +34,15 @@ def non_maximum_suppression(
         Indices of the kept boxes, by falling score (ties: lower index first).
     """
     order = np.argsort(-scores, kind="stable")
-    kept: list[int] = []
-    while order.size:
-        best, rest = order[0], order[1:]
-        kept.append(int(best))
-        suppressed = iou_one_to_many(boxes[best], boxes[rest]) > iou
-        if groups is not None:
-            suppressed &= groups[rest] == groups[best]
-        order = rest[~suppressed]
-    return np.array(kept, dtype=np.int64)
+    ranked = np.asfortranarray(boxes[order])  # each coordinate contiguous: the inner loop is over columns
+    group = None if groups is None else groups[order]
+    alive = np.ones(len(order), dtype=bool)
+    for rank in range(len(order)):
+        if not alive[rank]:
+            continue
+        suppressed = iou_one_to_many(ranked[rank], ranked[rank + 1 :]) > iou
+        if group is not None:
+            suppressed &= group[rank + 1 :] == group[rank]
+        alive[rank + 1 :] &= ~suppressed
+    kept: NDArray[np.int64] = order[alive]
+    return kept
