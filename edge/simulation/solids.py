@@ -14,10 +14,18 @@ from edge.simulation.scene import Material, Mesh
 
 Rgb = tuple[float, float, float]
 _TINY = 1e-9
+_SEAM_GRID_PER_M, _SEAM_SPAN = 100_000, 1 << 21  # points nearer than 10 um are one; spans 20 m
 
 
 def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), _TINY)
+
+
+def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """`numpy.cross` of (..., 3) arrays, without its overhead for small ones."""
+    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
+    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
 def shifted(point: NDArray[np.float64], offset: ArrayLike) -> NDArray[np.float64]:
@@ -47,7 +55,7 @@ def surface_grid(
     cell_colours = np.broadcast_to(np.asarray(colours, dtype=np.float32), (rows - 1, columns - 1, 3))
     diagonal_a = points[1:, 1:] - points[:-1, :-1]
     diagonal_b = points[1:, :-1] - points[:-1, 1:]
-    face_normals = np.cross(diagonal_a, diagonal_b)
+    face_normals = _cross(diagonal_a, diagonal_b)
     if flip:
         face_normals = -face_normals
     corner = np.arange(rows * columns).reshape(rows, columns)
@@ -66,11 +74,11 @@ def surface_grid(
         ):
             summed[row_slice, column_slice] += face_normals
         grid_normals = _unit(summed).reshape(-1, 3)
-        look, kind = np.unique(
-            np.concatenate([flat_materials[:, None].astype(np.float32), flat_colours], axis=1),
-            axis=0,
-            return_inverse=True,
-        )
+        appearances = np.concatenate([flat_materials[:, None].astype(np.float32), flat_colours], axis=1)
+        if np.ndim(materials) == 0 and np.ndim(colours) == 1:
+            look, kind = appearances[:1], np.zeros(len(appearances), dtype=np.int64)
+        else:
+            look, kind = np.unique(appearances, axis=0, return_inverse=True)
         key = quads.astype(np.int64) * len(look) + kind.reshape(-1, 1)
         used, renumbered = np.unique(key, return_inverse=True)
         vertex, appearance = used // len(look), used % len(look)
@@ -141,8 +149,8 @@ def tube(
     if capped:
         tangents = np.concatenate([tangents[:1], tangents, tangents[-1:]])
     helper = np.where(np.abs(tangents[:, 1:2]) > 0.9, [[0.0, 0.0, 1.0]], [[0.0, 1.0, 0.0]])
-    side = _unit(np.cross(helper, tangents))
-    other = np.cross(tangents, side)
+    side = _unit(_cross(helper, tangents))
+    other = _cross(tangents, side)
     angle = np.linspace(0.0, 2.0 * np.pi, sides + 1)
     ring = np.cos(angle)[None, :, None] * side[:, None, :] + np.sin(angle)[None, :, None] * other[:, None, :]
     points = centres[:, None, :] + radius[:, None, None] * ring
@@ -223,7 +231,7 @@ def disc(
 def _wound(positions: NDArray, normals: NDArray, triangles: NDArray[np.int32]) -> NDArray[np.int32]:
     """Triangles turned so that their winding agrees with the vertex normals."""
     a, b, c = (positions[triangles[:, k]].astype(np.float64) for k in range(3))
-    wrong = np.einsum("ij,ij->i", np.cross(b - a, c - a), normals[triangles].sum(axis=1)) < 0
+    wrong = np.einsum("ij,ij->i", _cross(b - a, c - a), normals[triangles].sum(axis=1)) < 0
     turned = triangles.copy()
     turned[wrong] = triangles[wrong][:, [0, 2, 1]]
     return turned
@@ -233,19 +241,18 @@ def _outward(mesh: Mesh, *, ring_seam: bool) -> Mesh:
     """Normals and winding away from the centroid line of a closed tube-like mesh; seams get equal normals."""
     normals = mesh.normals.astype(np.float64)
     if ring_seam:
-        keys = np.round(mesh.positions.astype(np.float64), 5)
-        _, group = np.unique(keys, axis=0, return_inverse=True)
-        group = group.reshape(-1)
+        grid = np.rint(mesh.positions.astype(np.float64) * _SEAM_GRID_PER_M).astype(np.int64)
+        _, group = np.unique((grid[:, 0] * _SEAM_SPAN + grid[:, 1]) * _SEAM_SPAN + grid[:, 2], return_inverse=True)
         total = np.zeros((group.max() + 1, 3))
         np.add.at(total, group, normals)
         normals = _unit(total)[group]
     triangles = mesh.triangles
     a, b, c = (mesh.positions[triangles[:, k]].astype(np.float64) for k in range(3))
-    volume = np.einsum("ij,ij->i", a - mesh.positions.mean(axis=0), np.cross(b - a, c - a)).sum()
+    volume = np.einsum("ij,ij->i", a - mesh.positions.mean(axis=0), _cross(b - a, c - a)).sum()
     if volume < 0:
         triangles = triangles[:, [0, 2, 1]]
     a, b, c = (mesh.positions[triangles[:, k]].astype(np.float64) for k in range(3))
-    agree = np.einsum("ij,ij->i", np.cross(b - a, c - a), normals[triangles].sum(axis=1)).sum()
+    agree = np.einsum("ij,ij->i", _cross(b - a, c - a), normals[triangles].sum(axis=1)).sum()
     if agree < 0:
         normals = -normals
     return Mesh(
