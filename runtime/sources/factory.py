@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from runtime.contracts.errors import SourceError
 from runtime.sources import images, kitti_object, kitti_odometry, kitti_raw, kitti_tracking, oak, video
-from runtime.sources.base import FrameSequence, Source
+from runtime.sources.base import FrameSequence, Source, as_sequence
 from runtime.sources.uri import COMMON_OPTIONS, SourceOptions, SourceUri, common_options, parse_uri
 
 
@@ -68,9 +68,4 @@ def open_sequence(uri: str) -> FrameSequence:
     Raises:
         SourceError: the source is live.
     """
-    source = open_source(uri)
-    if not isinstance(source, FrameSequence):
-        raise SourceError(
-            f"source {uri!r} is live, expected recorded frames; give files, for example kitti-object:ROOT"
-        )
-    return source
+    return as_sequence(open_source(uri))

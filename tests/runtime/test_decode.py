@@ -107,7 +107,13 @@ def test_boxes_without_prior_are_dropped() -> None:
 
 def test_camera_frame_round_trip() -> None:
     geometry = StereoGeometry(P2, P3, (1242, 375))
-    view = NetworkView(100, 1.25, (288, 1280), geometry, geometry.crop(left=0, top=100, size_wh=(1242, 275)).scale((1.25, 1.25), (1280, 288)))
+    view = NetworkView(
+        100,
+        1.25,
+        (288, 1280),
+        geometry,
+        geometry.crop(left=0, top=100, size_wh=(1242, 275)).scale((1.25, 1.25), (1280, 288)),
+    )
     center = np.array([[-4.0, 0.9, 17.5]])
     pixel, _ = project_to_image(view.geometry.P2, center)
     row = np.array([[300, 50, 400, 120, *pixel[0], 17.5, 1.6, 1.5, 3.9, 2.0]], np.float32)
