@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from runtime.sinks.base import FrameResult
 from runtime.sinks.palette import ACCENT, BACKGROUND, DIM_TEXT, GRID, LABEL, TEXT, class_colour
 from runtime.sinks.shapes import draw_line, draw_outline, fill_chip
-from runtime.sinks.text import BOLD, draw_text
+from runtime.sinks.text import BOLD, draw_text, text_width
 
 HISTORY_FRAMES = 120
 MARGIN_PX = 24
 STAGE_ROW_PX = 22
+TITLE_PX, SMALLEST_TITLE_PX = 24, 12
 SHOWN_STAGES = ("read", "preprocess", "inference", "decode")
 
 Image = NDArray[np.uint8]
@@ -35,13 +36,16 @@ class StatusStrip:
         strip[:] = BACKGROUND
         self._totals_ms.append(result.latency_ms.get("total", 0.0))
         third = (size_wh[0] - 2 * MARGIN_PX) // 3
-        self._draw_facts(strip, result)
+        self._draw_facts(strip, result, room=third)
         self._draw_stages(strip, result, left=MARGIN_PX + third + third // 6)
         self._draw_curve(strip, left=MARGIN_PX + 2 * third, right=size_wh[0] - MARGIN_PX)
         return strip
 
-    def _draw_facts(self, strip: Image, result: FrameResult) -> None:
-        draw_text(strip, self._title, (MARGIN_PX, 44), colour=TEXT, size_px=24, weight=BOLD)
+    def _draw_facts(self, strip: Image, result: FrameResult, *, room: int) -> None:
+        size_px = TITLE_PX
+        while size_px > SMALLEST_TITLE_PX and text_width(self._title, size_px=size_px, weight=BOLD) > room:
+            size_px -= 1
+        draw_text(strip, self._title, (MARGIN_PX, 44), colour=TEXT, size_px=size_px, weight=BOLD)
         frame = f"frame {result.frame.frame_id}   {result.frame.timestamp_secs:.1f} s"
         draw_text(strip, frame, (MARGIN_PX, 74), colour=DIM_TEXT, size_px=16)
         x, y = MARGIN_PX, 112
