@@ -38,11 +38,18 @@ def simulate_command(
 
     console = Console(stderr=True)
     columns = (TextColumn("simulate"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console) as bar:
-        task = bar.add_task("simulate", total=None)
+    bar = Progress(*columns, console=console)
+    task = bar.add_task("simulate", total=None)
+
+    def report(done: int, total: int) -> None:
+        bar.start()  # only now: wrong input gets its one line and no bar
+        bar.update(task, completed=done, total=total)
+
+    try:
         count = simulate(
             out, frames=frames, sequence=sequence, seconds=seconds, rig=rig, seed=seed, image_format=format,
-            quality=quality, workers=workers,
-            progress=lambda done, total: bar.update(task, completed=done, total=total),
+            quality=quality, workers=workers, progress=report,
         )  # fmt: skip
+    finally:
+        bar.stop()
     console.print(f"{count} labelled pairs in {out}", highlight=False)
