@@ -34,6 +34,7 @@ def cache_key(
     model_bytes: bytes,
     frames_digest: str,
     *,
+    geometry_digest: str,
     tensors: Sequence[str],
     channel_tensors: Sequence[str],
     view: str,
@@ -43,6 +44,7 @@ def cache_key(
     Args:
         model_bytes: The float model.
         frames_digest: Hash of the calibration frames' pixels.
+        geometry_digest: Hash of these frames' P2, P3 and sizes: they decide which rows are fed, and how scaled.
         tensors: Observed tensors.
         channel_tensors: Tensors observed by channel.
         view: How frames become feeds (crop, size, normalisation), as text.
@@ -51,6 +53,7 @@ def cache_key(
     for part in (
         hashlib.sha256(model_bytes).hexdigest(),
         frames_digest,
+        geometry_digest,
         "\n".join(tensors),
         "\n".join(channel_tensors),
         view,

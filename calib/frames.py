@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from runtime.contracts.errors import SourceError
 from runtime.contracts.frame import StereoFrame
 from runtime.contracts.manifest import Manifest
-from runtime.preprocess import network_view, prepare
+from runtime.preprocess import NetworkView, network_view, prepare
 from runtime.rig import check_rig
 
 SHORT_HASH = 16
@@ -38,10 +38,12 @@ class ChosenFrame:
     Attributes:
         frame_id: its name in the source.
         pixels: start of the SHA-256 over the pixels of both views.
+        geometry: start of the SHA-256 over P2, P3 and the image size.
     """
 
     frame_id: str
     pixels: str
+    geometry: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +64,11 @@ class CalibrationSet:
     def digest(self) -> str:
         """One hash for all pixels, in order."""
         return hashlib.sha256("".join(frame.pixels for frame in self.frames).encode()).hexdigest()
+
+    @property
+    def geometry_digest(self) -> str:
+        """One hash for the cameras of all frames, in order."""
+        return hashlib.sha256("".join(frame.geometry for frame in self.frames).encode()).hexdigest()
 
 
 def spread_indices(available: int, wanted: int) -> tuple[int, ...]:
@@ -84,6 +91,15 @@ def pixel_hash(frame: StereoFrame) -> str:
     digest = hashlib.sha256(frame.left.tobytes())
     if frame.right is not None:
         digest.update(frame.right.tobytes())
+    return digest.hexdigest()[:SHORT_HASH]
+
+
+def geometry_hash(frame: StereoFrame) -> str:
+    """Start of the SHA-256 over P2, P3 and the image size, which decide what the network sees of the pixels."""
+    geometry = frame.geometry
+    digest = hashlib.sha256(repr(geometry.image_size_wh).encode())
+    for projection in (geometry.P2, geometry.P3):
+        digest.update(projection.tobytes())
     return digest.hexdigest()[:SHORT_HASH]
 
 
@@ -123,14 +139,36 @@ def frame_feeds(
         RigError: A camera is too far from those of the training data.
         FrameError: A frame lacks a view that the model needs, or is too small.
     """
-    warned = False
+    view_of = rig_check(manifest, allow_other_rig=allow_other_rig, warn=warn)
     for frame in frames:
+        yield prepare(frame, view_of(frame), manifest)
+
+
+def rig_check(
+    manifest: Manifest, *, allow_other_rig: bool = False, warn: Warn = _say_nothing
+) -> Callable[[StereoFrame], NetworkView]:
+    """A function that gives what the network sees of a frame, once the frame's camera has passed the check.
+
+    Args:
+        manifest: Of the model.
+        allow_other_rig: Accept cameras far from those of the training data.
+        warn: Told once where a camera differs somewhat.
+
+    The function raises RigError where a camera is too far from those of the training data, FrameError where a
+    frame is too small.
+    """
+    warned = False
+
+    def view_of(frame: StereoFrame) -> NetworkView:
+        nonlocal warned
         view = network_view(frame.geometry, manifest)
         notice = check_rig(view.geometry, manifest.rig, stereo=manifest.views == 2, allow=allow_other_rig)
         if notice is not None and not warned:
             warned = True
             warn(notice)
-        yield prepare(frame, view, manifest)
+        return view
+
+    return view_of
 
 
 def is_sequence(source: object) -> bool:
@@ -138,14 +176,30 @@ def is_sequence(source: object) -> bool:
     return hasattr(source, "__getitem__") and hasattr(source, "__len__")
 
 
-def record(source: Iterable[StereoFrame], wanted: int, *, name: str) -> CalibrationSet:
+def record(
+    source: Iterable[StereoFrame],
+    wanted: int,
+    *,
+    name: str,
+    check: Callable[[StereoFrame], object] = lambda frame: None,
+) -> CalibrationSet:
     """Reads the calibration frames once and writes down their hashes.
+
+    Args:
+        source: Where they come from.
+        wanted: How many of them.
+        name: What the record calls the source.
+        check: Called with each; what it raises ends the reading.
 
     Raises:
         SourceError: no frame.
     """
-    chosen = tuple(ChosenFrame(frame.frame_id, pixel_hash(frame)) for frame in chosen_frames(source, wanted))
-    return CalibrationSet(name, chosen, len(source) if is_sequence(source) else None)  # type: ignore[arg-type]
+    chosen = []
+    for frame in chosen_frames(source, wanted):
+        check(frame)
+        chosen.append(ChosenFrame(frame.frame_id, pixel_hash(frame), geometry_hash(frame)))
+    available = len(source) if is_sequence(source) else None  # type: ignore[arg-type]
+    return CalibrationSet(name, tuple(chosen), available)
 
 
 def overlap(calibration: CalibrationSet, measuring: Iterable[StereoFrame]) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ from pathlib import Path
 import onnx
 
 from calib.cache import cache_key, load, store
-from calib.frames import CalibrationSet, chosen_frames, frame_feeds, record
+from calib.frames import CalibrationSet, chosen_frames, frame_feeds, record, rig_check
 from calib.methods import Range
 from calib.ranges import Observation, Progress, no_progress, observe
 from quantize.errors import QuantizeError
@@ -143,22 +143,24 @@ def calibrate(
         FormatError: The float model gives values that are not finite.
     """
     manifest, placement = prepared.source.manifest, prepared.placement
-    chosen = record(source, wanted, name=name)
+    check = rig_check(manifest, allow_other_rig=allow_other_rig, warn=warn)
+    chosen = record(source, wanted, name=name, check=check)
     if chosen.available is not None and chosen.available < wanted:
         warn(f"calibration source: {chosen.available} frames, {wanted} were wanted; all are used")
     key = cache_key(
         prepared.model.SerializeToString(deterministic=True),
         chosen.digest,
+        geometry_digest=chosen.geometry_digest,
         tensors=placement.observed,
         channel_tensors=placement.observed_channels,
-        view=repr((manifest.crop, manifest.input_size_hw, manifest.input_type, manifest.rig)),
+        view=repr((manifest.crop, manifest.input_size_hw, manifest.input_type, manifest.normalisation, manifest.rig)),
     )
     known = load(key) if use_cache else None
     if known is not None:
         return Calibration(chosen, known, from_cache=True)
     observation = observe(
         prepared.model,
-        lambda: frame_feeds(chosen_frames(source, wanted), manifest, allow_other_rig=allow_other_rig, warn=warn),
+        lambda: frame_feeds(chosen_frames(source, wanted), manifest, allow_other_rig=allow_other_rig),
         tensors=placement.observed,
         channel_tensors=placement.observed_channels,
         bytes_of={tensor: _size(shape) * _FLOAT_BYTES for tensor, shape in prepared.shapes.items()},

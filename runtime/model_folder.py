@@ -8,8 +8,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from runtime.contracts.errors import OutputError
-from runtime.contracts.manifest import MANIFEST_FILE
+from runtime.contracts.errors import EdgeError, OutputError
+from runtime.contracts.manifest import MANIFEST_FILE, MODEL_FILE, PRIORS_FILE, parse_manifest
+
+WRITTEN_FILES = (MODEL_FILE, MANIFEST_FILE, PRIORS_FILE, "card.md", "report.md", "report.json")
+"""What a model directory may hold and still be replaced by a newer one."""
 
 
 @contextmanager
@@ -17,13 +20,13 @@ def replaced_directory(out: Path) -> Iterator[Path]:
     """Gives an empty folder beside ``out`` and renames it to ``out`` when the block ends without an error.
 
     Raises:
-        OutputError: ``out`` is a file, or a folder that is neither empty nor a model directory, or cannot be
-            written.
+        OutputError: ``out`` is a file, or a folder that is neither empty nor a model directory of this project
+            without foreign files, or cannot be written.
     """
-    if out.exists() and not (out.is_dir() and (not any(out.iterdir()) or (out / MANIFEST_FILE).is_file())):
+    if out.exists() and not _may_be_replaced(out):
         raise OutputError(
-            f"{out}: found something that is no model directory; expected a free place or an older model"
-            " directory; choose another --out"
+            f"{out}: found something that is no model directory, or one with files of your own; expected a free"
+            " place or an older model directory; choose another --out"
         )
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -38,7 +41,24 @@ def replaced_directory(out: Path) -> Iterator[Path]:
     except OSError as error:
         raise _unwritable(out, error) from error
     finally:
-        shutil.rmtree(staging, ignore_errors=True)
+        if out.exists() or not (staging / "old").exists():  # else the retired model is the only one there is
+            shutil.rmtree(staging, ignore_errors=True)
+
+
+def _may_be_replaced(out: Path) -> bool:
+    """An empty folder, or a model directory of this project that holds nothing but what this project wrote."""
+    if not out.is_dir():
+        return False
+    names = {item.name for item in out.iterdir()}
+    if not names:
+        return True
+    if MANIFEST_FILE not in names or names - set(WRITTEN_FILES):
+        return False
+    try:
+        parse_manifest((out / MANIFEST_FILE).read_text(encoding="utf-8", errors="replace"))
+    except EdgeError:
+        return False
+    return True
 
 
 def _swap(folder: Path, out: Path, *, retired: Path) -> None:
@@ -47,7 +67,7 @@ def _swap(folder: Path, out: Path, *, retired: Path) -> None:
         out.rename(retired)
     try:
         folder.rename(out)
-    except OSError:
+    except BaseException:
         if retired.exists():
             retired.rename(out)
         raise

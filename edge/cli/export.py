@@ -27,7 +27,7 @@ class InputType(StrEnum):
 def export_command(
     checkpoint: Annotated[Path, typer.Option(help="Weights: .safetensors of `edge train`, or a .pt/.pth.")],
     out: Annotated[Path, typer.Option(help="Model directory to write; an older one there is replaced.")],
-    preset: Annotated[str, typer.Option(help="compact, paper or mono.")] = "compact",
+    preset: Annotated[str, typer.Option(help="compact or paper.")] = "compact",
     priors: Annotated[
         Optional[Path],  # noqa: UP045 - typer reads this form
         typer.Option(help="Priors file or folder; default: what lies beside the checkpoint."),
@@ -50,7 +50,7 @@ def export_command(
 
     from edge.detector.network import StereoDetector
     from edge.detector.presets import preset as find_preset
-    from edge.detector.weights import load_weights
+    from edge.detector.weights import check_priors, load_weights
     from edge.samples import calibration_source
     from edge.zoo.card import model_card
     from edge.zoo.priors import find_priors
@@ -69,6 +69,7 @@ def export_command(
     detector = StereoDetector(chosen)
     load_weights(detector, checkpoint)
     tables = find_priors(chosen, checkpoint, priors)
+    check_priors(checkpoint, tables, chosen.classes)
     network: nn.Module = detector.eval()
     if input_type is InputType.UINT8:
         network = FromPixels(detector, mean=manifest.normalisation.mean, std=manifest.normalisation.std).eval()

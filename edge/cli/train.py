@@ -50,10 +50,10 @@ def train_command(
 
     from edge.detector.network import StereoDetector
     from edge.detector.presets import preset as find_preset
-    from edge.detector.weights import load_backbone, load_weights, save_weights
+    from edge.detector.weights import PRIORS_KEY, load_backbone, load_weights, priors_digest, save_weights
     from edge.training.labelled_views import labelled_views
     from edge.training.log_plot import plot_log
-    from edge.training.loop import RunSettings, train, write_settings
+    from edge.training.loop import RunSettings, check_same_run, train, write_settings
     from edge.training.precision import wants_mixed_precision
     from edge.training.priors import anchor_statistics
     from edge.training.samples import SampleMaker
@@ -80,6 +80,8 @@ def train_command(
     torch.manual_seed(seed)
     sources = [open_sequence(uri) for uri in dataset]
     priors_file = out / "priors.npz"
+    if priors is not None and priors_file.exists() and file_sha256(priors) != file_sha256(priors_file):
+        raise CheckpointError(f"{priors} are not the priors of the run in {out}, expected the same; leave --priors out")
     if not priors_file.exists():
         if priors is not None:
             shutil.copyfile(priors, priors_file)
@@ -110,6 +112,8 @@ def train_command(
         device=device,
         mixed_precision=wants_mixed_precision(precision, device),
     )
+    if resume:
+        check_same_run(out, chosen, settings)
     write_settings(out, chosen, settings, dict(zip(dataset, weights, strict=True)))
     console.print(f"{frames.epoch_length} samples an epoch, {settings.batch_size} a step, {steps} steps")
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
@@ -128,7 +132,7 @@ def train_command(
         "preset": chosen.name,
         "steps": str(steps),
         "seed": str(seed),
-        "priors_sha256": file_sha256(priors_file),
+        PRIORS_KEY: priors_digest(tables, chosen.classes),
     }
     save_weights(weights_file, {name: value.cpu() for name, value in average.state.items()}, metadata=metadata)
     plot_log(out / "log.csv", out / "log.png")

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
+import numpy as np
 import torch
-from safetensors import SafetensorError
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save_file
 
 from edge.detector.network import StereoDetector
 from edge.detector.official import from_official, is_official
 from runtime.contracts.errors import CheckpointError
+from runtime.contracts.manifest import AnchorPriors
 
 SHOWN_NAMES = 3
+PRIORS_KEY = "priors_sha256"
+"""Metadata key of the weights file: `priors_digest` of what they were trained with."""
 
 
 def save_weights(path: Path, state: dict[str, torch.Tensor], *, metadata: dict[str, str]) -> None:
@@ -51,6 +56,30 @@ def load_weights(detector: StereoDetector, path: Path) -> None:
         ]
         raise CheckpointError(f"{path} {'; '.join(parts)}; expected the weights of this preset: choose its --preset")
     detector.load_state_dict({name: value.to(own[name].dtype) for name, value in state.items()}, strict=False)
+
+
+def check_priors(path: Path, tables: AnchorPriors, classes: tuple[str, ...]) -> None:
+    """Refuse priors other than those that the weights were trained with, where the weights name theirs.
+
+    Raises:
+        CheckpointError: the hash that `save_weights` was given differs.
+    """
+    if path.suffix != ".safetensors":
+        return
+    with safe_open(path, framework="pt") as file:
+        expected = (file.metadata() or {}).get(PRIORS_KEY)
+    if expected is not None and priors_digest(tables, classes) != expected:
+        raise CheckpointError(
+            f"{path} was trained with other priors, expected the tables that lie beside it; give those by --priors"
+        )
+
+
+def priors_digest(tables: AnchorPriors, classes: tuple[str, ...]) -> str:
+    """Hex SHA-256 of the tables' values and the classes they are for, whatever file holds them."""
+    digest = hashlib.sha256(" ".join(classes).encode())
+    for table in (tables.mean, tables.std):
+        digest.update(np.ascontiguousarray(table, np.float32).tobytes())
+    return digest.hexdigest()
 
 
 def read_state(path: Path) -> dict[str, torch.Tensor]:

@@ -14,7 +14,7 @@ CHECKPOINT_FILE = "checkpoint.pt"
 
 
 class AveragedModel:
-    """Exponential moving average of a module's parameters; buffers are copied.
+    """Exponential moving average of a module's parameters; and norm statistics; counters are copied.
 
     Args:
         module: the module to follow.

@@ -19,8 +19,9 @@ from edge.training.checkpoint import CHECKPOINT_FILE, AveragedModel, load_checkp
 from edge.training.losses import box_loss, class_loss, disparity_loss
 from edge.training.schedule import Schedule
 from edge.training.stream import Batch, MixedFrames, batches
+from runtime.contracts.errors import CheckpointError
 
-LOG_FILE = "log.csv"
+LOG_FILE, SETTINGS_FILE = "log.csv", "run.json"
 LOG_COLUMNS = (
     "step",
     "learning_rate",
@@ -86,7 +87,11 @@ def train(
         optimiser.load_state_dict(state["optimiser"])
         average.state = {name: value.to(device) for name, value in state["average"].items()}
         torch.set_rng_state(state["rng"])
+        if device.type == "cuda" and state.get("cuda_rng"):
+            torch.cuda.set_rng_state_all(state["cuda_rng"])
         step = int(state["step"])
+    else:
+        _save(run_dir / CHECKPOINT_FILE, detector, average, optimiser, step)  # stopped early, it resumes from its start
     schedule = Schedule(
         kind=settings.schedule,
         peak=settings.learning_rate,
@@ -160,6 +165,7 @@ def _save(path: Path, detector: nn.Module, average: AveragedModel, optimiser: to
         "average": average.state,
         "optimiser": optimiser.state_dict(),
         "rng": torch.get_rng_state(),
+        "cuda_rng": torch.cuda.get_rng_state_all() if torch.cuda.is_available() else [],
         "step": step,
     }
     save_checkpoint(path, state)
@@ -199,11 +205,46 @@ class _Log:
 
 
 def write_settings(run_dir: Path, preset: Preset, settings: RunSettings, datasets: dict[str, int]) -> None:
-    """Write all that is needed to repeat the run into ``run.json``."""
-    record = {
-        "preset": asdict(preset),
+    """Write all that is needed to repeat the run into ``run.json``, a stage for each start of the run.
+
+    A resumed run may change its length, its datasets or its schedule: the stages say from which step on.
+    """
+    file = run_dir / SETTINGS_FILE
+    record = json.loads(file.read_text()) if file.exists() else {"preset": _plain(preset), "stages": []}
+    checkpoint = run_dir / CHECKPOINT_FILE
+    stage = {
+        "from_step": int(load_checkpoint(checkpoint)["step"]) if checkpoint.exists() else 0,
         "settings": asdict(settings),
         "datasets": datasets,
         "torch": torch.__version__,
     }
-    (run_dir / "run.json").write_text(json.dumps(record, indent=2) + "\n")
+    record["stages"].append(stage)
+    file.write_text(json.dumps(record, indent=2) + "\n")
+
+
+def check_same_run(run_dir: Path, preset: Preset, settings: RunSettings) -> None:
+    """Refuse to resume a run of another preset, seed or batch size: its samples would not be the ones it saw.
+
+    Raises:
+        CheckpointError: ``run.json`` is missing, or names another preset, seed or batch size.
+    """
+    file = run_dir / SETTINGS_FILE
+    try:
+        record = json.loads(file.read_text())
+        earlier = record["stages"][-1]["settings"]
+        before = (record["preset"], earlier["seed"], earlier["batch_size"])
+    except (OSError, ValueError, KeyError, IndexError, TypeError):
+        raise CheckpointError(
+            f"{file} does not describe a run, expected one of `edge train`; start a new run"
+        ) from None
+    now = (_plain(preset), settings.seed, settings.batch_size)
+    for what, old, new in zip(("preset", "--seed", "--batch"), before, now, strict=True):
+        if old != new:
+            raise CheckpointError(
+                f"{run_dir} was started with another {what}, expected the same to resume; "
+                "give what it was started with, or start a new run"
+            )
+
+
+def _plain(preset: Preset) -> Any:
+    return json.loads(json.dumps(asdict(preset)))

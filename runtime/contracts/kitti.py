@@ -7,6 +7,7 @@ subtracts h / 2 from y and writing adds it.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -20,6 +21,7 @@ KITTI_CLASSES = ("Car", "Van", "Truck", "Pedestrian", "Person_sitting", "Cyclist
 DONT_CARE = "DontCare"
 MISSING_ALPHA_RAD = -10.0
 _LABEL_FIELDS = 15
+_TRACKING_PERSON = re.compile(r"^(\s*\d+\s+-?\d+)\s+Person\s+")  # the tracking set's name for Person_sitting
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +72,10 @@ def parse_tracking_labels(text: str, *, where: str = "tracking labels") -> dict[
         if not words[0].isdigit():
             raise FormatError(f"{where} line {number} starts with {words[0]!r}, expected a frame number; mend the file")
         by_frame.setdefault(int(words[0]), []).append(line)
+    by_frame = {
+        frame: [_TRACKING_PERSON.sub(r"\1 Person_sitting ", line) for line in lines]
+        for frame, lines in by_frame.items()
+    }
     return {
         frame: _objects(_parse_rows(lines, where=f"{where} frame {frame}", lead=2, with_score=False), where)
         for frame, lines in by_frame.items()

@@ -283,7 +283,13 @@ def parse_manifest(text: str, *, where: str = MANIFEST_FILE) -> Manifest:
             f"{where} has schema version {version!r}, expected {SCHEMA_VERSION}; "
             "export the model again with this version of the package"
         )
-    return typing.cast(Manifest, _build(Manifest, data, where))
+    manifest = typing.cast(Manifest, _build(Manifest, data, where))
+    if manifest.operators != OperatorVersion():
+        raise ManifestError(
+            f"{where} uses operators {manifest.operators.domain} version {manifest.operators.version}, "
+            f"expected {OperatorVersion().domain} version {OperatorVersion().version}; export the model again"
+        )
+    return manifest
 
 
 def _build(kind: Any, value: Any, where: str) -> Any:

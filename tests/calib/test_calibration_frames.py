@@ -72,6 +72,28 @@ def test_the_hash_covers_both_views() -> None:
     assert len({pixel_hash(item) for item in (both, left, swapped)}) == 3
 
 
+def test_the_cameras_are_hashed_apart_from_the_pixels() -> None:
+    seen = frame(3)
+    moved = np.eye(3, 4)
+    moved[0, 3] = -0.5
+    cameras = [GEOMETRY, StereoGeometry(moved, GEOMETRY.P3, (4, 2)), StereoGeometry(GEOMETRY.P2, moved, (4, 2))]
+    records = [record([StereoFrame(seen.left, seen.right, 0.0, 0, "x", camera)], 1, name="drive") for camera in cameras]
+    assert len({chosen.digest for chosen in records}) == 1
+    assert len({chosen.geometry_digest for chosen in records}) == 3
+
+
+def test_a_check_sees_the_chosen_frames_and_can_end_the_reading() -> None:
+    seen: list[str] = []
+    record([frame(number) for number in range(10)], 2, name="drive", check=lambda item: seen.append(item.frame_id))
+    assert seen == ["000002", "000007"]
+
+    def refuse(item: StereoFrame) -> None:
+        raise SourceError("refused")
+
+    with pytest.raises(SourceError, match="refused"):
+        record([frame(1)], 1, name="drive", check=refuse)
+
+
 def test_overlap_is_found_by_pixels_not_by_name() -> None:
     chosen = record([frame(1), frame(2)], 2, name="drive")
     renamed = StereoFrame(frame(2).left, frame(2).right, 0.0, 0, "elsewhere/000077", GEOMETRY)

@@ -108,16 +108,17 @@ def test_old_files_are_forgotten(model, feeds, tmp_path: Path, monkeypatch) -> N
 
 
 def test_the_key_depends_on_everything() -> None:
-    base = {"tensors": ["a", "b"], "channel_tensors": ["c"], "view": "crop"}
+    base = {"geometry_digest": "cameras", "tensors": ["a", "b"], "channel_tensors": ["c"], "view": "crop"}
     keys = {
         cache_key(b"model", "frames", **base),
         cache_key(b"other", "frames", **base),
         cache_key(b"model", "others", **base),
+        cache_key(b"model", "frames", **{**base, "geometry_digest": "others"}),
         cache_key(b"model", "frames", **{**base, "tensors": ["a"]}),
         cache_key(b"model", "frames", **{**base, "channel_tensors": []}),
         cache_key(b"model", "frames", **{**base, "view": "another"}),
     }
-    assert len(keys) == 6
+    assert len(keys) == 7
 
 
 def test_the_folder_follows_the_users_setting(monkeypatch, tmp_path: Path) -> None:

@@ -94,6 +94,21 @@ def test_leaves_what_is_not_a_model_alone(tmp_path: Path, kind: str) -> None:
     assert kept.read_text() == "years of work"
 
 
+@pytest.mark.parametrize("foreign", ["other manifest", "own file"])
+def test_leaves_folders_that_hold_more_than_a_model(tmp_path: Path, foreign: str) -> None:
+    out = tmp_path / "model"
+    if foreign == "own file":
+        write(out)
+        (out / "notes.txt").write_text("mine")
+    else:
+        out.mkdir()
+        (out / "manifest.json").write_text('{"name": "a web application"}')
+    before = sorted(path.name for path in out.iterdir())
+    with pytest.raises(OutputError, match="no model directory"):
+        write(out)
+    assert sorted(path.name for path in out.iterdir()) == before
+
+
 def test_a_failure_on_the_way_leaves_the_older_one(tmp_path: Path) -> None:
     out = tmp_path / "model"
     write(out)

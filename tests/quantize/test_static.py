@@ -15,11 +15,13 @@ from quantize.recipe import recipe_for_target
 from quantize.sensitivity import layer_noise, own_noise
 from quantize.static import build, calibrate, int8_share, prepare_model, write_directory
 from runtime.contracts.errors import FrameError, RigError, SourceError
-from runtime.contracts.manifest import open_model_directory
+from runtime.contracts.manifest import Normalisation, open_model_directory
 from runtime.detector import open_detector
 from runtime.sources.factory import open_source
 
 FRAMES = 3
+FOCAL_PX = "2.000000000000e+02"
+"""Of the tiny drive, as its calibration files write it."""
 MIN_LAYER_SNR_DB = 15.0
 """Single layers scatter around the outputs' 25 dB and more; a wrong scale leaves none or negative."""
 
@@ -118,6 +120,47 @@ def test_changed_pixels_miss_the_cache(prepared, busy_drive, cache_home) -> None
         assert not calibrate(prepared, source, 4, name="drive").from_cache
 
 
+def replace_in_calibration(drive: Path, old: str, new: str) -> None:
+    for path in (drive / "training" / "calib").iterdir():
+        text = path.read_text(encoding="utf-8")
+        assert old in text
+        path.write_text(text.replace(old, new), encoding="utf-8")
+
+
+def test_the_same_pixels_of_another_camera_miss_the_cache(prepared, busy_drive, cache_home) -> None:
+    """The camera decides which rows are fed and how they are scaled."""
+    with open_source(f"kitti-object:{busy_drive}") as source:
+        first = calibrate(prepared, source, FRAMES, name="drive")
+    replace_in_calibration(busy_drive, FOCAL_PX, "2.040000000000e+02")  # within what is tolerated silently
+    with open_source(f"kitti-object:{busy_drive}") as source:
+        second = calibrate(prepared, source, FRAMES, name="drive")
+    assert first.frames.digest == second.frames.digest
+    assert not second.from_cache
+    assert len(list(cache_home.rglob("*.npz"))) == 2
+
+
+def test_another_normalisation_misses_the_cache(prepared, busy_drive, cache_home) -> None:
+    manifest = dataclasses.replace(
+        prepared.source.manifest, normalisation=Normalisation(mean=(0.5, 0.5, 0.5), std=(0.2, 0.2, 0.2))
+    )
+    other = dataclasses.replace(prepared, source=dataclasses.replace(prepared.source, manifest=manifest))
+    with open_source(f"kitti-object:{busy_drive}") as source:
+        calibrate(prepared, source, FRAMES, name="drive")
+        assert not calibrate(other, source, FRAMES, name="drive").from_cache
+
+
+def test_the_cache_does_not_spare_the_rig_check(prepared, busy_drive, cache_home) -> None:
+    replace_in_calibration(busy_drive, FOCAL_PX, "4.000000000000e+02")
+    with open_source(f"kitti-object:{busy_drive}") as source:
+        told: list[str] = []
+        for from_cache in (False, True):
+            found = calibrate(prepared, source, 4, name="drive", allow_other_rig=True, warn=told.append)
+            assert found.from_cache is from_cache
+        assert [line.partition(":")[0] for line in told] == ["rig", "rig"], "once a run"
+        with pytest.raises(RigError, match="focal length"):
+            calibrate(prepared, source, 4, name="drive")
+
+
 def test_every_layer_is_close_to_its_float_twin(prepared, calibration, toy_feeds) -> None:
     graph = build(prepared, calibration.observation, calibration.observation.ranges("minmax"))
     noise = layer_noise(prepared, graph, lambda: toy_feeds[:2])
@@ -165,9 +208,7 @@ def test_the_float_model_is_not_overwritten(prepared, calibration, toy_directory
 
 
 def test_frames_of_another_rig_are_refused(prepared, busy_drive, cache_home) -> None:
-    for path in (busy_drive / "training" / "calib").iterdir():
-        text = path.read_text(encoding="utf-8")
-        path.write_text(text.replace("2.000000000000e+02", "4.000000000000e+02"), encoding="utf-8")
+    replace_in_calibration(busy_drive, FOCAL_PX, "4.000000000000e+02")
     with open_source(f"kitti-object:{busy_drive}") as source, pytest.raises(RigError, match="focal length"):
         calibrate(prepared, source, FRAMES, name="drive")
 

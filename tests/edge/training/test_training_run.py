@@ -14,9 +14,9 @@ torch = pytest.importorskip("torch", reason="the torch workbench is not installe
 
 from edge.detector.network import StereoDetector  # noqa: E402
 from edge.detector.presets import HeadShape, NeckShape, NetworkShape, Preset, preset  # noqa: E402
-from edge.detector.weights import load_weights, save_weights  # noqa: E402
+from edge.detector.weights import PRIORS_KEY, check_priors, load_weights, priors_digest, save_weights  # noqa: E402
 from edge.training.ground_truth import mirror_geometry, mirror_objects, outline_boxes  # noqa: E402
-from edge.training.loop import RunSettings, train  # noqa: E402
+from edge.training.loop import RunSettings, check_same_run, train, write_settings  # noqa: E402
 from edge.training.samples import SampleMaker  # noqa: E402
 from edge.training.schedule import Schedule  # noqa: E402
 from edge.training.stream import MixedFrames  # noqa: E402
@@ -152,6 +152,28 @@ def test_weights_round_trip_and_refusal(tmp_path: Path) -> None:
     file.write_bytes(b"not weights")
     with pytest.raises(CheckpointError, match="no safetensors"):
         load_weights(other, file)
+
+
+def test_weights_know_their_priors(tmp_path: Path) -> None:
+    chosen = small_preset()
+    tables = plain_priors(chosen)
+    file = tmp_path / "weights.safetensors"
+    metadata = {PRIORS_KEY: priors_digest(tables, chosen.classes)}
+    save_weights(file, StereoDetector(chosen).state_dict(), metadata=metadata)
+    check_priors(file, tables, chosen.classes)
+    with pytest.raises(CheckpointError, match="other priors"):
+        check_priors(file, AnchorPriors(tables.mean + 1, tables.std), chosen.classes)
+
+
+def test_only_the_same_run_is_resumed(tmp_path: Path) -> None:
+    chosen = small_preset()
+    with pytest.raises(CheckpointError, match="does not describe a run"):
+        check_same_run(tmp_path, chosen, settings(8))
+    write_settings(tmp_path, chosen, settings(8), {"a": 1})
+    check_same_run(tmp_path, chosen, settings(99, workers=3))
+    for other, plan, word in ((chosen, settings(8, seed=9), "--seed"), (preset("compact"), settings(8), "preset")):
+        with pytest.raises(CheckpointError, match=word):
+            check_same_run(tmp_path, other, plan)
 
 
 def test_pickles_do_not_run(tmp_path: Path) -> None:

@@ -60,6 +60,13 @@ def test_tracking_labels_round_trip() -> None:
     assert again[2].track_id[0] == 9
 
 
+def test_tracking_labels_call_a_sitting_person_person() -> None:
+    frame = parse_tracking_labels(f"3 1 {LINE.replace('Car', 'Person')}\n")[3]
+    assert frame.class_names[frame.class_id[0]] == "Person_sitting"
+    with pytest.raises(FormatError, match="'Person'"):
+        parse_labels(LINE.replace("Car", "Person"))
+
+
 def test_detections_round_trip() -> None:
     found = parse_detections(LINE + " 0.75")
     again = parse_detections(format_detections(found))

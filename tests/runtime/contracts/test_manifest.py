@@ -112,6 +112,7 @@ def _set(*path: str, value: Any) -> Callable[[dict[str, Any]], None]:
         (_set("nms", "iou", value="big"), "expected float"),
         (_set("nms", "per_class", value=1), "expected bool"),
         (_set("sha256", value=[]), "expected an object"),
+        (_set("operators", "version", value=2), "edge.stereo version 2"),
     ],
 )
 def test_malformed_manifest(change: Callable[[dict[str, Any]], None], message: str) -> None:
