@@ -105,10 +105,10 @@ clean:
 	find calib edge export quantize runtime tests -name __pycache__ -type d -prune -exec rm -r {} +
 
 # What the chain needs and nobody has made yet.
-$(FLOAT_MODEL)/manifest.json:
+$(FLOAT_MODEL)/manifest.json: $(wildcard $(CHECKPOINT) $(PRIORS))
 	@$(MAKE) export
 
-$(INT8_MODEL)/manifest.json:
+$(INT8_MODEL)/manifest.json: $(FLOAT_MODEL)/manifest.json
 	@$(MAKE) quantize
 
 $(SIMULATED)/ImageSets/train.txt: | $(VENV)/ready

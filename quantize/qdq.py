@@ -209,7 +209,8 @@ class _Writer:
             raise QuantizeError(f"{result}: found no channel extremes; expected them; calibrate for this placement")
         low, high = (extreme.reshape(-1, columns) for extreme in self._channels[result])
         by_column = [
-            activation_params(float(low[:, column].min()), float(high[:, column].max())) for column in range(columns)
+            self._activation_params(float(low[:, column].min()), float(high[:, column].max()))
+            for column in range(columns)
         ]
         count = low.size // columns
         steps = np.tile(np.array([item.scale for item in by_column], np.float64), count)
@@ -287,10 +288,14 @@ class _Writer:
                 raise QuantizeError(f"{root}: found no range; expected one; calibrate for this placement")
             else:
                 low, high = self._ranges[root]
-                self._params[name] = activation_params(
-                    low, high, dtype=self._recipe.activation_type, symmetric=self._recipe.activation_symmetric
-                )
+                self._params[name] = self._activation_params(low, high)
         return self._params[name]
+
+    def _activation_params(self, low: float, high: float) -> QuantParams:
+        """Scale and zero point of a range, as the recipe wants them."""
+        return activation_params(
+            low, high, dtype=self._recipe.activation_type, symmetric=self._recipe.activation_symmetric
+        )
 
     def _levels(self, name: str) -> str:
         """The 8-bit tensor of a float one, quantised now where it is float so far."""

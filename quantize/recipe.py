@@ -10,14 +10,13 @@ import json
 import platform
 from dataclasses import dataclass, fields
 from importlib.resources import files
-from pathlib import Path
 from typing import Any, get_args
 
 from quantize.errors import QuantizeError
 from quantize.qparams import ActivationType
+from runtime.machine import processor
 
 FLOAT_RECIPE = "float32"
-_CPUINFO = Path("/proc/cpuinfo")
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +111,7 @@ def detect_target(machine: str | None = None, flags: frozenset[str] | None = Non
         ``arm64``, or ``generic`` where nothing is known.
     """
     machine = (machine or platform.machine()).lower()
-    flags = cpu_flags() if flags is None else flags
+    flags = frozenset(processor().flags or ()) if flags is None else flags
     if machine in ("aarch64", "arm64"):
         return "arm64"
     if machine in ("x86_64", "amd64"):
@@ -121,19 +120,6 @@ def detect_target(machine: str | None = None, flags: frozenset[str] | None = Non
         if "avx2" in flags:
             return "x86-avx2"
     return "generic"
-
-
-def cpu_flags() -> frozenset[str]:
-    """CPU flags as the Linux kernel lists them; empty elsewhere."""
-    try:
-        lines = _CPUINFO.read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError:
-        return frozenset()
-    for line in lines:
-        key, _, value = line.partition(":")
-        if key.strip() in ("flags", "Features"):
-            return frozenset(value.split())
-    return frozenset()
 
 
 _SWITCHES = (

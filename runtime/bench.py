@@ -25,7 +25,6 @@ from runtime.profile import NodeTime, profile_model
 TOTAL = "total"
 WARM_UP_RUNS = 2
 _PROC_STATM = Path("/proc/self/statm")
-_PAGE_BYTES = 4096
 _MEBI = 1 << 20
 
 
@@ -154,7 +153,7 @@ def resident_mib() -> float | None:
         pages = int(_PROC_STATM.read_text(encoding="ascii").split()[1])
     except (OSError, IndexError, ValueError):
         return None
-    return pages * _PAGE_BYTES / _MEBI
+    return pages * os.sysconf("SC_PAGE_SIZE") / _MEBI
 
 
 def _load(

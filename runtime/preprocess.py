@@ -132,7 +132,7 @@ def prepare(frame: StereoFrame, view: NetworkView, manifest: Manifest) -> dict[s
         if frame.right is None:
             raise FrameError(
                 f"frame {frame.frame_id} has no right image, expected a pair for the stereo preset "
-                f"{manifest.preset}; use a stereo source or a mono model"
+                f"{manifest.preset}; use a stereo source"
             )
         images["right"] = frame.right
     as_float = manifest.input_type == "float32"

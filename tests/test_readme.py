@@ -14,7 +14,8 @@ import pytest
 import typer
 
 from edge.cli.main import COMMANDS, app
-from runtime.sources.uri import parse_uri
+from runtime.sources.factory import KINDS
+from runtime.sources.uri import COMMON_OPTIONS, parse_uri
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 README = (REPOSITORY / "README.md").read_text(encoding="utf-8")
@@ -74,8 +75,15 @@ SOURCES = re.findall(r"[`\"]((?:kitti-[a-z]+|images|video|oak):[^`\"]*)[`\"]", R
 
 
 @pytest.mark.parametrize("text", SOURCES)
-def test_sources_of_the_readme_parse(text: str) -> None:
-    assert parse_uri(text) is not None
+def test_sources_of_the_readme_name_known_kinds_and_options(text: str) -> None:
+    parsed = parse_uri(text)
+    assert parsed.scheme in KINDS
+    assert set(parsed.options) <= {*KINDS[parsed.scheme].options, *COMMON_OPTIONS}
+    assert parsed.target or parsed.scheme == "oak"
+
+
+def test_the_readme_shows_every_kind_of_source() -> None:
+    assert {parse_uri(text).scheme for text in SOURCES} == set(KINDS)
 
 
 @pytest.mark.parametrize("line", MAKE_LINES)

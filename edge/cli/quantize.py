@@ -65,7 +65,7 @@ def quantize_command(
     from quantize.static import build, calibrate, prepare_model, write_directory
     from runtime.contracts.errors import GoalMissedError
     from runtime.contracts.manifest import open_model_directory
-    from runtime.sources.factory import open_source
+    from runtime.sources.factory import open_sequence
 
     if max_drop is not None and validation is None:
         raise QuantizeError("--max-drop: found no --validation; expected labelled frames to measure on; name a source")
@@ -78,7 +78,7 @@ def quantize_command(
     if calibration is None:
         _say("no --calibration: ranges come from the bundled simulated drive; frames of your own camera fit better")
     uri = calibration or calibration_source()
-    with open_source(uri) as opened, _progress() as progress:
+    with open_sequence(uri) as opened, _progress() as progress:
         found = calibrate(
             prepared,
             opened,
@@ -140,12 +140,17 @@ def public_name(uri: str) -> str:
     """A source's URI without the folders above the last: what a model directory may say of where it was made.
 
     ``kitti-object:/data/kitti/object?split=train`` becomes ``kitti-object:object?split=train``.
+
+    Raises:
+        SourceError: ``uri`` is none.
     """
-    scheme, _, rest = uri.partition(":")
-    target, mark, options = rest.partition("?")
-    shown = ",".join(Path(part).name for part in target.split(","))
-    kept = "&".join(part for part in options.split("&") if part and not part.startswith("geometry="))
-    return f"{scheme}:{shown}" + (f"?{kept}" if mark and kept else "")
+    from runtime.sources.uri import parse_uri
+
+    parsed = parse_uri(uri)
+    shown = ",".join(Path(part).name for part in parsed.target.split(","))
+    options = {name: Path(value).name for name, value in parsed.options.items() if name != "geometry"}
+    kept = "&".join(f"{name}={value}" for name, value in options.items())
+    return f"{parsed.scheme}:{shown}" + (f"?{kept}" if kept else "")
 
 
 def _search(

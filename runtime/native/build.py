@@ -157,7 +157,8 @@ def main(arguments: Sequence[str] = ()) -> int:
     """Builds in place what is not current; ``--force`` builds anyway.
 
     Returns:
-        0, also where there is no compiler, since the function body serves then.
+        0, also where there is no compiler, since the function body serves then; 1 where an outdated library
+        cannot be removed, which would be loaded.
     """
     library = SOURCE_DIRECTORY / LIBRARY_NAME
     if is_current(library) and "--force" not in arguments:
@@ -166,6 +167,12 @@ def main(arguments: Sequence[str] = ()) -> int:
         built = build(SOURCE_DIRECTORY)
     except BuildError as error:
         sys.stderr.write(f"native correlation library: {error}\n")
+        try:
+            library.unlink(missing_ok=True)  # of an older build
+        except OSError as kept:
+            sys.stderr.write(f"native correlation library: found an outdated {library.name} that stays ({kept}); ")
+            sys.stderr.write("expected to remove it; delete it by hand\n")
+            return 1
     else:
         sys.stdout.write(f"native correlation library: built {built.name}\n")
     return 0

@@ -101,10 +101,14 @@ class OakCamera:
             )
             self._queue = build_pairing(pipeline, left, right, fps=self._fps, on_host=False)
             pipeline.start()
-        except RuntimeError as error:
+        except BaseException as error:  # also an interrupt: a device that is not let go stays taken
+            self._queue = None
             self._stack.close()
+            if not isinstance(error, RuntimeError):
+                raise
+            said = (str(error).splitlines() or ["no reason given"])[0]
             raise SourceError(
-                f"{self.uri}: the camera does not start ({str(error).splitlines()[0]}), expected a free OAK "
+                f"{self.uri}: the camera does not start ({said}), expected a free OAK "
                 "device with a stereo pair; unplug it and plug it in again"
             ) from error
         return self

@@ -159,6 +159,20 @@ def test_a_budget_without_labels_is_refused(arguments, drives, tmp_path, capsys)
     assert not (tmp_path / "int8").exists()
 
 
+def test_a_live_source_does_not_calibrate(arguments, tmp_path, monkeypatch, capsys) -> None:
+    """A camera's frames cannot be had twice: hashed and observed ones would differ."""
+
+    class Camera:
+        uri = "oak:"
+        is_live = True
+
+    monkeypatch.setattr("runtime.sources.factory.open_source", lambda uri: Camera())
+    assert run(*arguments, "--out", tmp_path / "int8", "--calibration", "oak:") == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()[-1:]
+    assert "oak: is live" in line
+    assert not (tmp_path / "int8").exists()
+
+
 def test_frames_of_another_camera_are_refused(arguments, drives, tmp_path, capsys) -> None:
     for path in (drives[0] / "training" / "calib").iterdir():
         path.write_text(path.read_text(encoding="utf-8").replace("2.0000", "4.0000"), encoding="utf-8")
@@ -172,6 +186,10 @@ def test_frames_of_another_camera_are_refused(arguments, drives, tmp_path, capsy
         ("kitti-object:/data/kitti/object?split=train", "kitti-object:object?split=train"),
         ("images:/a/l/*.png,/a/r/*.png?geometry=/a/rig.json&limit=5", "images:*.png,*.png?limit=5"),
         ("kitti-raw:drive", "kitti-raw:drive"),
+        ("images:/a/l/?.png,/a/r/?.png?geometry=/a/rig.json&limit=5", "images:?.png,?.png?limit=5"),
+        ("images:/a/l/0?.png,/a/r/0?.png?geometry=/a/rig.json", "images:0?.png,0?.png"),
+        ("kitti-object:/a/what?x=1/object?split=/a/train", "kitti-object:object?split=train"),
+        ("video:/a/l.mp4,/a/r.mp4?limit=3&geometry=/a/rig.json&rate", "video:l.mp4,r.mp4?limit=3&rate=camera"),
         ("oak:", "oak:"),
     ],
 )

@@ -90,17 +90,13 @@ def settings(steps: int, **changes: object) -> RunSettings:
     return replace(base, **changes)  # type: ignore[arg-type]
 
 
-def run(
-    dataset: str, folder: Path, steps: int, *, resume: bool = False, total: int | None = None
-) -> dict[str, torch.Tensor]:
+def run(dataset: str, folder: Path, steps: int, *, resume: bool = False) -> dict[str, torch.Tensor]:
     chosen = small_preset()
     folder.mkdir(exist_ok=True)
     torch.manual_seed(1)
     detector = StereoDetector(chosen)
     frames = MixedFrames([open_sequence(dataset)], [1], maker=SampleMaker(chosen, plain_priors(chosen)), seed=3)
-    plan = settings(total or steps, cooldown_steps=0)
-    if total is not None:  # stop early: the loop runs to its total, so cut the stream
-        plan = replace(plan, steps=steps)
+    plan = settings(steps, cooldown_steps=0)
     return train(detector, chosen, frames, settings=plan, run_dir=folder, resume=resume).state
 
 
