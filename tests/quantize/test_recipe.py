@@ -39,6 +39,23 @@ def test_target_by_cpu(machine, flags, target) -> None:
     assert detect_target(machine, frozenset(flags)) == target
 
 
+@pytest.mark.parametrize(
+    ("machine", "text", "target"),
+    [
+        ("x86_64", "flags : fpu avx2 avx512_vnni\n", "x86-vnni"),
+        ("x86_64", "flags : fpu avx2\n", "x86-avx2"),
+        ("x86_64", None, "generic"),
+        ("aarch64", "Features : fp asimd asimddp\n", "arm64"),
+    ],
+)
+def test_target_of_this_machine(machine, text, target, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr("platform.machine", lambda: machine)
+    monkeypatch.setattr("runtime.machine.CPU_INFO", tmp_path / "cpuinfo")
+    if text is not None:
+        (tmp_path / "cpuinfo").write_text(text, encoding="utf-8")
+    assert detect_target() == target
+
+
 def test_saturating_cpus_get_seven_bits() -> None:
     assert recipe_for_target("x86-avx2").weight_bits == 7
     assert recipe_for_target("x86-vnni").weight_bits == 8

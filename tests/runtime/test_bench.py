@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from runtime.bench import TOTAL, bench_models, profile_directory, spread
+from runtime.bench import TOTAL, bench_models, profile_directory, resident_mib, spread
 from runtime.contracts.errors import ManifestError, RigError, SessionError, SourceError
 from runtime.detector import STAGES
 from runtime.profile import by_operator, int8_share, node_times, profile_model
@@ -111,3 +111,11 @@ def test_a_packed_weight_counts_as_unknown() -> None:
 def test_no_events_no_nodes() -> None:
     assert node_times([], runs=1) == []
     assert int8_share([]) == 0.0
+
+
+def test_memory_counts_pages_of_the_systems_size(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr("runtime.bench._PROC_STATM", tmp_path / "statm")
+    assert resident_mib() is None
+    (tmp_path / "statm").write_text("9 2 1 1 0 1 0\n", encoding="ascii")
+    monkeypatch.setattr("os.sysconf", {"SC_PAGE_SIZE": 65536}.__getitem__)
+    assert resident_mib() == 0.125

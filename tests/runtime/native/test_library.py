@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from runtime.native import library
+from runtime.native import build, library
 from runtime.native.build import LIBRARY_NAME
 
 INSTRUCTION_SETS = ("vnni", "avx512", "avx2", "neon", "scalar")
@@ -26,6 +26,21 @@ def test_a_broken_file_is_none(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
     broken.write_bytes(b"no library")
     monkeypatch.setattr(library, "library_path", lambda: broken)
     assert library.instruction_set() is None
+
+
+def test_an_outdated_library_does_not_outlive_a_failed_build(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It would be loaded although the message says that the function body serves."""
+    outdated, source = tmp_path / LIBRARY_NAME, tmp_path / "register.cc"
+    outdated.write_bytes(b"of an older build")
+    source.write_text("", encoding="utf-8")
+    os.utime(outdated, (1.0, 1.0))
+    monkeypatch.setattr(build, "SOURCE_DIRECTORY", tmp_path)
+    monkeypatch.setenv("CXX", str(tmp_path / "no-such-compiler"))
+    assert build.main() == 0
+    assert "function body serves" in capsys.readouterr().err
+    assert not outdated.exists()
 
 
 @pytest.mark.usefixtures("native_library")

@@ -5,11 +5,12 @@ from __future__ import annotations
 import time
 from datetime import timedelta
 from itertools import count
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from runtime.contracts.errors import FrameError, SourceError
+from runtime.contracts.errors import FormatError, FrameError, SourceError
 from runtime.contracts.frame import StereoFrame
 from runtime.depthai_rig import rectified_geometry
 from runtime.sources import oak
@@ -129,3 +130,38 @@ def test_a_camera_that_was_not_entered() -> None:
     with pytest.raises(SourceError, match="not started"):
         iter(camera)
     assert camera.frame_hz == 10
+
+
+@pytest.mark.parametrize(
+    ("trouble", "raised"),
+    [
+        (RuntimeError("X_LINK_ERROR\nmore"), SourceError),
+        (RuntimeError(), SourceError),
+        (FormatError("no stereo pair"), FormatError),
+        (KeyboardInterrupt(), KeyboardInterrupt),
+    ],
+)
+def test_a_start_that_fails_lets_the_device_go(
+    trouble: BaseException, raised: type[BaseException], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    let_go: list[str] = []
+
+    class Device:
+        def __init__(self, info: object) -> None:
+            pass
+
+        def __enter__(self) -> Device:
+            return self
+
+        def __exit__(self, *error: object) -> None:
+            let_go.append("device")
+
+        def readCalibration(self) -> None:
+            raise trouble
+
+    monkeypatch.setattr(oak, "import_depthai", lambda: SimpleNamespace(Device=Device))
+    camera = oak.OakCamera("oak:", None, fps=10, size_wh=(128, 40), options=SourceOptions())
+    with pytest.raises(raised) as ended:
+        camera.__enter__()
+    assert let_go == ["device"]
+    assert "\n" not in str(ended.value)
