@@ -21,6 +21,8 @@ FloatArray32 = NDArray[np.float32]
 DELTA_COUNT = 12
 CENTER_FACTOR: Final = 0.1
 SIZE_FACTOR: Final = 0.2
+MAX_LOG_GROWTH: Final = 9.0
+"""A box 8,000 times its anchor says nothing; without the bound, untrained weights overflow float32."""
 # columns of a decoded box
 X1, Y1, X2, Y2, CX, CY, Z, WIDTH, HEIGHT, LENGTH, ALPHA = range(11)
 
@@ -46,7 +48,8 @@ def decode_boxes(
         (N, 11): x1 y1 x2 y2 cx cy z w h l alpha; alpha is not wrapped.
     """
     center = anchor_center_xy + np.float32(CENTER_FACTOR) * deltas[:, 0:2] * anchor_size_wh
-    half = np.float32(0.5) * anchor_size_wh * np.exp(np.float32(SIZE_FACTOR) * deltas[:, 2:4])
+    growth = np.minimum(np.float32(SIZE_FACTOR) * deltas[:, 2:4], np.float32(MAX_LOG_GROWTH))
+    half = np.float32(0.5) * anchor_size_wh * np.exp(growth)
     projected = anchor_center_xy + np.float32(CENTER_FACTOR) * deltas[:, 4:6] * anchor_size_wh
     scaled = prior_mean + prior_std * deltas[:, 6:12]
     alpha = np.arctan2(scaled[:, 1], scaled[:, 2]) / np.float32(2) + np.where(

@@ -64,6 +64,17 @@ def test_encoding_inverts_decoding(seed: int) -> None:
     np.testing.assert_allclose(encode_boxes(boxes, **anchors), deltas, atol=2e-3)
 
 
+def test_absurd_regressions_stay_finite() -> None:
+    anchors = {
+        "anchor_center_xy": np.full((1, 2), 50, np.float32),
+        "anchor_size_wh": np.full((1, 2), 20, np.float32),
+        "prior_mean": np.ones((1, 6), np.float32),
+        "prior_std": np.ones((1, 6), np.float32),
+    }
+    boxes = decode_boxes(np.full((1, 12), 1e4, np.float32), facing_away=np.zeros(1, bool), **anchors)
+    assert np.isfinite(boxes).all()
+
+
 def test_recorded_detections(reference_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(reference_dir))
     try:
