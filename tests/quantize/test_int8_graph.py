@@ -156,6 +156,23 @@ def test_a_column_of_the_output_has_its_own_step(toy_model, toy_feeds) -> None:
     assert snr["one"] < 10
 
 
+@pytest.mark.parametrize("symmetric", [False, True])
+def test_columns_of_signed_levels(toy_model, toy_feeds, symmetric) -> None:
+    recipe = dataclasses.replace(
+        recipe_for_target("x86-vnni"), activation_type="int8", activation_symmetric=symmetric, fold_pixels=False
+    )
+    _, _, graph = quantised(toy_model, recipe, toy_feeds)
+    onnx.checker.check_model(graph.model, full_check=True)
+    stored = {tensor.name: onnx.numpy_helper.to_array(tensor) for tensor in graph.model.graph.initializer}
+    columns = [values for name, values in stored.items() if name.endswith("_column_zero_point")]
+    assert len(columns) == 2
+    for values in columns:
+        assert values.dtype == np.int8
+        assert bool(np.any(values)) is not symmetric
+    least = MIN_OUTPUT_SNR_DB_7_BITS if symmetric else MIN_OUTPUT_SNR_DB
+    assert min(output_snr_db(toy_model, graph.model, toy_feeds)) > least
+
+
 def test_layers_given_back_run_in_float(toy_model, toy_feeds) -> None:
     recipe = recipe_for_target("x86-vnni")
     excluded = ["stereo", "volume", "box_deltas.last", "stem"]
