@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import platform
+import re
 import shutil
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
@@ -266,6 +267,7 @@ def _card(source: Path, manifest: Manifest) -> str:
     """The float model's card with a section on INT8."""
     path = source / CARD_FILE
     before = path.read_text(encoding="utf-8").rstrip() if path.is_file() else f"# {manifest.preset}"
+    before = re.sub(r"^# .*", f"# {manifest.preset}, {manifest.recipe}", before, count=1)
     facts = manifest.provenance
     count = len(facts["calibration_frames"].split())
     return (

@@ -156,16 +156,8 @@ def format_detections(detections: Detections3D) -> str:
     """
     lines = []
     for row in range(len(detections)):
-        x, y, z = detections.center_in_camera[row]
-        height, width, length = detections.size_hwl[row]
-        numbers = [
-            detections.alpha_rad[row], *detections.box_in_left_image[row],
-            height, width, length, x, y + 0.5 * height, z, detections.yaw_rad[row],
-        ]  # fmt: skip
         name = detections.class_names[detections.class_id[row]]
-        lines.append(
-            f"{name} -1 -1 " + " ".join(f"{value:.6f}" for value in numbers) + f" {float(detections.score[row])!r} \n"
-        )
+        lines.append(f"{name} -1 -1 {_box_text(detections, row, decimals=6)} {float(detections.score[row])!r} \n")
     return "".join(lines)
 
 
@@ -173,23 +165,24 @@ def format_labels(objects: Objects3D, *, tracking_frame: int | None = None) -> s
     """Object label lines, DontCare last; with ``tracking_frame`` the tracking layout (frame and track id in front)."""
     lines = []
     for row in range(len(objects)):
-        x, y, z = objects.center_in_camera[row]
-        height, width, length = objects.size_hwl[row]
-        numbers = [
-            objects.alpha_rad[row], *objects.box_in_left_image[row],
-            height, width, length, x, y + 0.5 * height, z, objects.yaw_rad[row],
-        ]  # fmt: skip
         lead = "" if tracking_frame is None else f"{tracking_frame} {objects.track_id[row]} "
         name = objects.class_names[objects.class_id[row]]
-        lines.append(
-            f"{lead}{name} {objects.truncation[row]:.2f} {objects.occlusion[row]} "
-            + " ".join(f"{value:.4f}" for value in numbers)
-        )
+        seen = f"{objects.truncation[row]:.2f} {objects.occlusion[row]}"
+        lines.append(f"{lead}{name} {seen} {_box_text(objects, row, decimals=4)}")
     for box in objects.dont_care_boxes:
         lead = "" if tracking_frame is None else f"{tracking_frame} -1 "
         pixels = " ".join(f"{value:.4f}" for value in box)
         lines.append(f"{lead}{DONT_CARE} -1 -1 -10 {pixels} -1 -1 -1 -1000 -1000 -1000 -10")
     return "".join(line + "\n" for line in lines)
+
+
+def _box_text(boxes: Detections3D | Objects3D, row: int, *, decimals: int) -> str:
+    """Alpha, 2D box, height, width, length, bottom centre and yaw of one row."""
+    x, y, z = boxes.center_in_camera[row]
+    height, width, length = boxes.size_hwl[row]
+    pixels = boxes.box_in_left_image[row]
+    numbers = [boxes.alpha_rad[row], *pixels, height, width, length, x, y + 0.5 * height, z, boxes.yaw_rad[row]]
+    return " ".join(f"{value:.{decimals}f}" for value in numbers)
 
 
 def parse_calib(text: str, image_size_wh: tuple[int, int], *, where: str = "calibration") -> StereoGeometry:
