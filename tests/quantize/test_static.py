@@ -70,7 +70,8 @@ def test_a_model_directory_comes_out_that_detects(prepared, calibration, toy_dir
     assert {"onnx", "onnxruntime", "python"} <= set(written.manifest.tools)
     assert (out / "priors.npz").read_bytes() == (toy_directory / "priors.npz").read_bytes()
     card = (out / "card.md").read_text(encoding="utf-8")
-    assert card.startswith("# Toy")
+    assert card.splitlines()[0] == f"# tiny, {written.manifest.recipe}"  # the title says what this model is
+    assert "Data: none." in card  # the rest is the float model's
     assert "## INT8" in card
     assert sorted(path.name for path in out.parent.iterdir()) == ["int8"], "nothing is left beside it"
     assert sorted(path.name for path in out.iterdir()) == ["card.md", "manifest.json", "model.onnx", "priors.npz"]
