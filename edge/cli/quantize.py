@@ -269,7 +269,7 @@ def _report(
             paths = [prepared.source.path, written.path]
             measurements = _measure(paths, source, allow_other_rig=allow_other_rig)
             timed = bench_models(paths, pairs, repeat=TIMED_REPEAT, allow_other_rig=allow_other_rig)
-            latency = tuple({**asdict(item), "path": item.path} for item in timed)
+            latency = tuple({**asdict(item), "path": Path(item.path).name} for item in timed)
             share_run = share_of_run(profile_directory(written.path, pairs[:1]))
     except EdgeError as error:
         if validation is not None:
