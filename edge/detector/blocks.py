@@ -18,11 +18,23 @@ def conv_norm_relu(in_channels: int, out_channels: int, kernel: int = 3, **optio
     )
 
 
+def _shortcut(in_channels: int, out_channels: int, stride: int) -> nn.Module | None:
+    """None (the identity), or a 1x1 convolution with norm where stride or width change."""
+    if stride == 1 and in_channels == out_channels:
+        return None
+    return nn.Sequential(
+        nn.Conv2d(in_channels, out_channels, 1, stride=stride, bias=False),
+        nn.BatchNorm2d(out_channels),
+    )
+
+
 class BasicBlock(nn.Module):
     """Two 3x3 convolutions with a residual path (paper: ResNet basic block, also in the neck and the heads).
 
     The shortcut is the identity, or a 1x1 convolution with norm where stride or width change.
     """
+
+    EXPANSION = 1
 
     def __init__(self, in_channels: int, out_channels: int, stride: int = 1) -> None:
         super().__init__()
@@ -31,18 +43,39 @@ class BasicBlock(nn.Module):
         self.relu = nn.ReLU(inplace=True)
         self.conv2 = nn.Conv2d(out_channels, out_channels, 3, padding=1, bias=False)
         self.bn2 = nn.BatchNorm2d(out_channels)
-        self.downsample: nn.Module | None = None
-        if stride != 1 or in_channels != out_channels:
-            self.downsample = nn.Sequential(
-                nn.Conv2d(in_channels, out_channels, 1, stride=stride, bias=False),
-                nn.BatchNorm2d(out_channels),
-            )
+        self.downsample = _shortcut(in_channels, out_channels, stride)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """(B, in, H, W) to (B, out, H / stride, W / stride)."""
         shortcut = x if self.downsample is None else self.downsample(x)
         inner = self.relu(self.bn1(self.conv1(x)))
         out: torch.Tensor = self.relu(self.bn2(self.conv2(inner)) + shortcut)
+        return out
+
+
+class Bottleneck(nn.Module):
+    """1x1 down to ``width``, 3x3 with the stride, 1x1 up to four times ``width``; residual path (ResNet-50 and up)."""
+
+    EXPANSION = 4
+
+    def __init__(self, in_channels: int, width: int, stride: int = 1) -> None:
+        super().__init__()
+        out_channels = width * self.EXPANSION
+        self.conv1 = nn.Conv2d(in_channels, width, 1, bias=False)
+        self.bn1 = nn.BatchNorm2d(width)
+        self.conv2 = nn.Conv2d(width, width, 3, stride=stride, padding=1, bias=False)
+        self.bn2 = nn.BatchNorm2d(width)
+        self.conv3 = nn.Conv2d(width, out_channels, 1, bias=False)
+        self.bn3 = nn.BatchNorm2d(out_channels)
+        self.relu = nn.ReLU(inplace=True)
+        self.downsample = _shortcut(in_channels, out_channels, stride)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """(B, in, H, W) to (B, 4 width, H / stride, W / stride)."""
+        shortcut = x if self.downsample is None else self.downsample(x)
+        inner = self.relu(self.bn1(self.conv1(x)))
+        inner = self.relu(self.bn2(self.conv2(inner)))
+        out: torch.Tensor = self.relu(self.bn3(self.conv3(inner)) + shortcut)
         return out
 
 

@@ -25,10 +25,10 @@ class StereoDetector(nn.Module):
         super().__init__()
         shape = preset.network
         self.backbone = ResNetBackbone(shape.backbone_depth, shape.backbone_widths)
-        self.neck = StereoNeck(shape.backbone_widths, shape.neck)
+        self.neck = StereoNeck(self.backbone.out_channels, shape.neck)
         self.disparity_branch = DisparityBranch(shape.neck.out_channels, shape.neck)
         self.head = AnchorHead(
-            shape.backbone_widths[2] + shape.neck.out_channels,
+            self.backbone.out_channels[2] + shape.neck.out_channels,
             preset.anchors.per_cell,
             len(preset.classes),
             shape.head,
