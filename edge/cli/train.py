@@ -53,9 +53,10 @@ def train_command(
     from edge.detector.weights import PRIORS_KEY, load_backbone, load_weights, priors_digest, save_weights
     from edge.training.labelled_views import labelled_views
     from edge.training.log_plot import plot_log
-    from edge.training.loop import RunSettings, check_same_run, train, write_settings
+    from edge.training.loop import train
     from edge.training.precision import wants_mixed_precision
     from edge.training.priors import anchor_statistics
+    from edge.training.run_record import RunSettings, check_same_run, write_settings
     from edge.training.samples import SampleMaker
     from edge.training.stream import MixedFrames
     from runtime.contracts.errors import CheckpointError, EdgeError, OutputError

@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch import nn
 
+from edge.training.distributed import Ranks, gathered
 from runtime.contracts.errors import CheckpointError
 
 CHECKPOINT_FILE = "checkpoint.pt"
@@ -34,6 +36,32 @@ class AveragedModel:
                 average.lerp_(value.detach(), 1 - decay)
             else:
                 average.copy_(value)
+
+
+def random_state(device: torch.device, ranks: Ranks) -> dict[str, Any]:
+    """The generators of all processes (dropout draws from them) as entries of a checkpoint; each process calls it."""
+    own = {"cpu": torch.get_rng_state()}
+    if device.type == "cuda":
+        own["cuda"] = torch.cuda.get_rng_state(device)
+    everyone = gathered(own, ranks)
+    return {
+        "rng": everyone[0]["cpu"],
+        "cuda_rng": [everyone[0]["cuda"]] if device.type == "cuda" else [],
+        "rank_rng": everyone,
+    }
+
+
+def restore_random_state(state: dict[str, Any], device: torch.device, ranks: Ranks) -> None:
+    """Set this process's generators; those of a run of other processes are seeded from where it stood."""
+    everyone = state.get("rank_rng") or [{"cpu": state["rng"], "cuda": (state.get("cuda_rng") or [None])[0]}]
+    if len(everyone) != ranks.count:
+        seed = np.random.default_rng([int(state["step"]), ranks.count, ranks.rank]).integers(2**31)
+        torch.manual_seed(int(seed))
+        return
+    own = everyone[ranks.rank]
+    torch.set_rng_state(own["cpu"])
+    if device.type == "cuda" and own.get("cuda") is not None:
+        torch.cuda.set_rng_state(own["cuda"], device)
 
 
 def save_checkpoint(path: Path, state: dict[str, Any]) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from torch.utils.data import DataLoader, Dataset, Sampler
 
+from edge.training.distributed import ALONE, Ranks
 from edge.training.losses import ImageTargets
 from edge.training.samples import Sample, SampleMaker
 from runtime.contracts.errors import SourceError
@@ -92,25 +93,38 @@ class MixedFrames(Dataset[Sample]):
         return self._maker.make(source[int(row)], objects, draws)
 
 
-class _Positions(Sampler[int]):
-    def __init__(self, first: int, last: int) -> None:
-        self._range = range(first, last)
+class Positions(Sampler[int]):
+    """The run's positions that one process looks at: of each step's joint batch, the share of its rank.
+
+    Args:
+        first_step, last_step: steps ``first_step`` .. ``last_step - 1``.
+        batch_size: of all processes together.
+        ranks: this process among them.
+    """
+
+    def __init__(self, first_step: int, last_step: int, *, batch_size: int, ranks: Ranks) -> None:
+        self._steps = range(first_step, last_step)
+        self._batch_size = batch_size
+        self._share = ranks.share_of(batch_size)
+        self._offset = ranks.rank * self._share
 
     def __iter__(self) -> Iterator[int]:
-        return iter(self._range)
+        for step in self._steps:
+            begin = step * self._batch_size + self._offset
+            yield from range(begin, begin + self._share)
 
     def __len__(self) -> int:
-        return len(self._range)
+        return len(self._steps) * self._share
 
 
 def batches(
-    frames: MixedFrames, *, first_step: int, last_step: int, batch_size: int, workers: int
+    frames: MixedFrames, *, first_step: int, last_step: int, batch_size: int, workers: int, ranks: Ranks = ALONE
 ) -> DataLoader[Sample]:
-    """Batches for steps ``first_step`` .. ``last_step - 1``."""
+    """Batches for steps ``first_step`` .. ``last_step - 1``: this process's share of ``batch_size`` samples each."""
     return DataLoader(
         frames,
-        batch_size=batch_size,
-        sampler=_Positions(first_step * batch_size, last_step * batch_size),
+        batch_size=ranks.share_of(batch_size),
+        sampler=Positions(first_step, last_step, batch_size=batch_size, ranks=ranks),
         num_workers=workers,
         collate_fn=collate,
         worker_init_fn=_single_threaded,

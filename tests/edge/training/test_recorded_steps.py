@@ -18,8 +18,9 @@ from edge.detector.official import from_official  # noqa: E402
 from edge.detector.presets import Preset, preset  # noqa: E402
 from edge.training.assign import assign  # noqa: E402
 from edge.training.ground_truth import GroundTruth  # noqa: E402
-from edge.training.loop import RunSettings, train_step  # noqa: E402
 from edge.training.losses import ImageTargets  # noqa: E402
+from edge.training.run_record import RunSettings  # noqa: E402
+from edge.training.step import train_step  # noqa: E402
 from edge.training.stream import Batch  # noqa: E402
 from runtime.anchors import anchor_grid, usable_anchors  # noqa: E402
 from runtime.contracts.manifest import AnchorLayout, read_priors  # noqa: E402

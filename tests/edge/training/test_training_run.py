@@ -16,7 +16,8 @@ from edge.detector.network import StereoDetector  # noqa: E402
 from edge.detector.presets import HeadShape, NeckShape, NetworkShape, Preset, preset  # noqa: E402
 from edge.detector.weights import PRIORS_KEY, check_priors, load_weights, priors_digest, save_weights  # noqa: E402
 from edge.training.ground_truth import mirror_geometry, mirror_objects, outline_boxes  # noqa: E402
-from edge.training.loop import RunSettings, check_same_run, train, write_settings  # noqa: E402
+from edge.training.loop import train  # noqa: E402
+from edge.training.run_record import RunSettings, check_same_run, write_settings  # noqa: E402
 from edge.training.samples import SampleMaker  # noqa: E402
 from edge.training.schedule import Schedule  # noqa: E402
 from edge.training.stream import MixedFrames  # noqa: E402

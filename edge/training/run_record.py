@@ -1,0 +1,113 @@
+"""What a run is: its settings, ``run.json`` that repeats it, and whether a resumed run is the same one."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from edge.detector.presets import Preset
+from edge.training.checkpoint import CHECKPOINT_FILE, load_checkpoint
+from edge.training.schedule import ScheduleKind
+from runtime.contracts.errors import CheckpointError
+
+SETTINGS_FILE = "run.json"
+AVERAGE_DECAY = 0.999
+
+
+@dataclass(frozen=True, slots=True)
+class RunSettings:
+    """What a run needs beside preset and data.
+
+    Attributes:
+        steps: optimisation steps of the whole run.
+        batch_size: pairs a step, of all processes together.
+        learning_rate, final_learning_rate: peak and end of the schedule.
+        schedule: see `edge.training.schedule`; warmup_steps, cooldown_steps: its ends.
+        workers: processes that read frames, for each training process.
+        seed: of weights, order and augmentation.
+        device: ``cpu``, ``cuda`` or ``cuda:N``.
+        mixed_precision: bfloat16 where autocast takes it.
+        checkpoint_every, log_every: steps between checkpoints and log lines.
+        average_decay: of the average of the weights, which is what a run saves; 0 saves the last weights themselves.
+            0.999 remembers the last thousand steps or so: less suits a short run.
+        freeze_norms: all batch norms keep their statistics, not only the backbone's: for small batches.
+        validate_every: steps between validations, 0 for none.
+    """
+
+    steps: int
+    batch_size: int
+    learning_rate: float
+    final_learning_rate: float
+    schedule: ScheduleKind = "hold"
+    warmup_steps: int = 100
+    cooldown_steps: int = 0
+    workers: int = 1
+    seed: int = 0
+    device: str = "cpu"
+    mixed_precision: bool = True
+    checkpoint_every: int = 100
+    log_every: int = 10
+    average_decay: float = AVERAGE_DECAY
+    freeze_norms: bool = False
+    validate_every: int = 0
+
+
+def write_settings(run_dir: Path, preset: Preset, settings: RunSettings, datasets: dict[str, int]) -> None:
+    """Write all that is needed to repeat the run into ``run.json``, a stage for each start of the run.
+
+    A resumed run may change its length, its datasets or its schedule: the stages say from which step on.
+    """
+    file = run_dir / SETTINGS_FILE
+    record = json.loads(file.read_text()) if file.exists() else {"preset": _plain(preset), "stages": []}
+    checkpoint = run_dir / CHECKPOINT_FILE
+    stage = {
+        "from_step": int(load_checkpoint(checkpoint)["step"]) if checkpoint.exists() else 0,
+        "settings": asdict(settings),
+        "datasets": datasets,
+        "torch": torch.__version__,
+    }
+    if _plain(preset) != record["preset"]:  # fields that a later version of the preset added
+        stage["preset"] = _plain(preset)
+    record["stages"].append(stage)
+    file.write_text(json.dumps(record, indent=2) + "\n")
+
+
+def check_same_run(run_dir: Path, preset: Preset, settings: RunSettings) -> None:
+    """Refuse to resume a run of another preset, seed or batch size: its samples would not be the ones it saw.
+
+    Fields that a preset did not have when the run began are passed over.
+
+    Raises:
+        CheckpointError: ``run.json`` is missing, or names another preset, seed or batch size.
+    """
+    file = run_dir / SETTINGS_FILE
+    try:
+        record = json.loads(file.read_text())
+        earlier = record["stages"][-1]["settings"]
+        before = (record["preset"], earlier["seed"], earlier["batch_size"])
+    except (OSError, ValueError, KeyError, IndexError, TypeError):
+        raise CheckpointError(
+            f"{file} does not describe a run, expected one of `edge train`; start a new run"
+        ) from None
+    now = (_restricted(_plain(preset), before[0]), settings.seed, settings.batch_size)
+    for what, old, new in zip(("preset", "--seed", "--batch"), before, now, strict=True):
+        if old != new:
+            raise CheckpointError(
+                f"{run_dir} was started with another {what}, expected the same to resume; "
+                "give what it was started with, or start a new run"
+            )
+
+
+def _restricted(value: Any, known: Any) -> Any:
+    """``value`` without the keys that ``known`` lacks, at every depth."""
+    if isinstance(value, dict) and isinstance(known, dict):
+        return {key: _restricted(item, known[key]) for key, item in value.items() if key in known}
+    return value
+
+
+def _plain(preset: Preset) -> Any:
+    return json.loads(json.dumps(asdict(preset)))
