@@ -32,6 +32,7 @@ from runtime.boxcode import (
 from runtime.contracts.geometry import FloatArray, back_project
 from runtime.contracts.manifest import AnchorPriors, Manifest
 from runtime.contracts.objects import Detections3D, wrap_angle_rad
+from runtime.hill_climbing import CLIMBING_CLASS, climb
 from runtime.nms import non_maximum_suppression
 from runtime.preprocess import NetworkView
 
@@ -108,7 +109,7 @@ class Decoder:
     def decode_in_network(
         self, cls_logits: FloatArray32, box_deltas: FloatArray32, *, P2: FloatArray, score: float
     ) -> NetworkBoxes:
-        """`candidates` after NMS, by falling score."""
+        """`candidates` after NMS, by falling score; turned to fit their 2D boxes where the manifest asks for it."""
         found = self.candidates(cls_logits, box_deltas, P2=P2, score=score)
         policy = self._manifest.nms
         keep = non_maximum_suppression(
@@ -117,7 +118,11 @@ class Decoder:
             policy.iou,
             groups=found.class_id if policy.per_class else None,
         )
-        return NetworkBoxes(found.boxes[keep], found.score[keep], found.class_id[keep], found.anchor_index[keep])
+        boxes, class_id = found.boxes[keep], found.class_id[keep]
+        if self._manifest.hill_climbing and CLIMBING_CLASS in self._manifest.classes:
+            cars = class_id == self._manifest.classes.index(CLIMBING_CLASS)
+            boxes = climb(boxes, cars, P2=P2, size_hw=self._manifest.input_size_hw)
+        return NetworkBoxes(boxes, found.score[keep], class_id, found.anchor_index[keep])
 
     def decode(
         self,
