@@ -27,10 +27,16 @@ class InputType(StrEnum):
 def export_command(
     checkpoint: Annotated[Path, typer.Option(help="Weights: .safetensors of `edge train`, or a .pt/.pth.")],
     out: Annotated[Path, typer.Option(help="Model directory to write; an older one there is replaced.")],
-    preset: Annotated[str, typer.Option(help="compact or paper.")] = "compact",
+    preset: Annotated[
+        str, typer.Option(help="compact or paper; widths of an official checkpoint are read from its shapes.")
+    ] = "compact",
     priors: Annotated[
         Optional[Path],  # noqa: UP045 - typer reads this form
-        typer.Option(help="Priors file or folder; default: what lies beside the checkpoint."),
+        typer.Option(help="Priors file, or folder of it or of the official tables; default: beside the checkpoint."),
+    ] = None,
+    classes: Annotated[
+        Optional[str],  # noqa: UP045
+        typer.Option(help="Names in channel order, comma-separated, where they are not the preset's."),
     ] = None,
     input_type: Annotated[
         InputType, typer.Option("--input", help="Whether the graph normalises (uint8) or the caller (float32).")
@@ -48,12 +54,14 @@ def export_command(
     from rich.console import Console
     from torch import nn
 
+    from edge.detector.checkpoint_file import read_checkpoint
     from edge.detector.network import StereoDetector
+    from edge.detector.official_shapes import class_count, fitted_preset
     from edge.detector.presets import preset as find_preset
     from edge.detector.weights import check_priors, load_weights
     from edge.samples import calibration_source
     from edge.zoo.card import model_card
-    from edge.zoo.priors import find_priors
+    from edge.zoo.priors import find_priors, official_classes
     from export.package import write_model_directory
     from export.parity import measure_parity
     from export.to_onnx import to_onnx
@@ -64,10 +72,18 @@ def export_command(
     from runtime.sources.factory import open_sequence
 
     console = Console(stderr=True, highlight=False)
-    chosen = find_preset(preset)
+    weights = read_checkpoint(checkpoint)
+    named = find_preset(preset)
+    names = tuple(name.strip() for name in classes.split(",")) if classes else None
+    if names is None and class_count(named, weights) != len(named.classes):
+        by_priors = official_classes(priors or checkpoint.parent)
+        if len(by_priors) == class_count(named, weights):
+            names = by_priors
+            console.print(f"classes by the files of the priors: {', '.join(names)}")
+    chosen = fitted_preset(named, weights, names)
     manifest = chosen.manifest(input_type=input_type.value)
     detector = StereoDetector(chosen)
-    load_weights(detector, checkpoint)
+    load_weights(detector, weights)
     tables = find_priors(chosen, checkpoint, priors)
     check_priors(checkpoint, tables, chosen.classes)
     network: nn.Module = detector.eval()

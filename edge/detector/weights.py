@@ -7,15 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file, save_file
+from safetensors import safe_open
+from safetensors.torch import save_file
+from torch import nn
 
+from edge.detector.checkpoint_file import Checkpoint, read_checkpoint
+from edge.detector.misfit import compare, shapes_of
 from edge.detector.network import StereoDetector
-from edge.detector.official import from_official, is_official
 from runtime.contracts.errors import CheckpointError
 from runtime.contracts.manifest import AnchorPriors
 
-SHOWN_NAMES = 3
 PRIORS_KEY = "priors_sha256"
 """Metadata key of the weights file: `priors_digest` of what they were trained with."""
 
@@ -32,30 +33,25 @@ def save_weights(path: Path, state: dict[str, torch.Tensor], *, metadata: dict[s
     beside.replace(path)
 
 
-def load_weights(detector: StereoDetector, path: Path) -> None:
-    """Load weights written by `save_weights` or a run's checkpoint (its averaged model).
+def load_weights(detector: nn.Module, source: Path | Checkpoint) -> None:
+    """Load weights written by `save_weights`, a run's checkpoint (its averaged model), or an official checkpoint.
 
     Raises:
-        CheckpointError: unreadable, or names or shapes that do not fit the preset.
+        CheckpointError: unreadable, names or shapes that do not fit the preset, or values that are not finite.
     """
-    state = read_state(path)
+    checkpoint = read_checkpoint(source) if isinstance(source, Path) else source
     own = detector.state_dict()
-    optional = {name for name in own if name.startswith("disparity_branch.") or name.endswith("num_batches_tracked")}
-    missing = sorted(set(own) - set(state) - optional)
-    unknown = sorted(set(state) - set(own))
-    misfits = sorted(
-        f"{name} {tuple(state[name].shape)} instead of {tuple(own[name].shape)}"
-        for name in set(own) & set(state)
-        if state[name].shape != own[name].shape
-    )
-    if missing or unknown or misfits:
-        parts = [
-            f"{label} {', '.join(names[:SHOWN_NAMES])}{' and more' if len(names) > SHOWN_NAMES else ''}"
-            for label, names in (("lacks", missing), ("has the unknown", unknown), ("has", misfits))
-            if names
-        ]
-        raise CheckpointError(f"{path} {'; '.join(parts)}; expected the weights of this preset: choose its --preset")
-    detector.load_state_dict({name: value.to(own[name].dtype) for name, value in state.items()}, strict=False)
+    misfit = compare(shapes_of(own), checkpoint)
+    if misfit:
+        raise misfit.error()
+    for name, value in checkpoint.state.items():
+        if value.dtype.is_floating_point and not torch.isfinite(value).all():
+            raise CheckpointError(
+                f"{checkpoint.path} has values in {checkpoint.name_in_file(name)} that are not finite, expected "
+                "finite weights; its training diverged: take an earlier checkpoint"
+            )
+    known = {name: value.to(own[name].dtype) for name, value in checkpoint.state.items() if name in own}
+    detector.load_state_dict(known, strict=False)
 
 
 def check_priors(path: Path, tables: AnchorPriors, classes: tuple[str, ...]) -> None:
@@ -82,42 +78,13 @@ def priors_digest(tables: AnchorPriors, classes: tuple[str, ...]) -> str:
     return digest.hexdigest()
 
 
-def read_state(path: Path) -> dict[str, torch.Tensor]:
-    """Names to tensors of a safetensors file or a torch checkpoint (ours or official); pickles never run.
-
-    Raises:
-        CheckpointError: missing or unreadable.
-    """
-    if not path.is_file():
-        raise CheckpointError(f"{path} is not there, expected weights (.safetensors or .pt); check the path")
-    if path.suffix == ".safetensors":
-        try:
-            return dict(load_file(path))
-        except (SafetensorError, OSError) as error:
-            raise CheckpointError(f"{path} is no safetensors file ({error}); expected weights; copy it again") from None
-    try:
-        data = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:
-        raise CheckpointError(
-            f"{path} is not readable as weights ({type(error).__name__}), expected a state dict; copy it again"
-        ) from None
-    for key in ("average", "state_dict", "model"):
-        if isinstance(data, dict) and isinstance(data.get(key), dict):
-            data = data[key]
-            break
-    if not isinstance(data, dict) or not all(isinstance(value, torch.Tensor) for value in data.values()):
-        raise CheckpointError(f"{path} holds no tensors by name, expected a state dict; copy it again")
-    plain = {name.removeprefix("module."): value for name, value in data.items()}
-    return from_official(plain) if is_official(plain) else plain
-
-
 def load_backbone(detector: StereoDetector, path: Path) -> None:
     """Start the backbone from ImageNet weights with torchvision's names; later stages in the file are ignored.
 
     Raises:
         CheckpointError: a tensor that the backbone needs is missing or has another shape.
     """
-    state = read_state(path)
+    state = read_checkpoint(path).state
     own = detector.backbone.state_dict()
     wanted = [name for name in own if not name.endswith("num_batches_tracked")]
     wrong = [name for name in wanted if name not in state or state[name].shape != own[name].shape]
