@@ -29,7 +29,7 @@ from runtime.boxcode import (
     Z,
     decode_boxes,
 )
-from runtime.contracts.geometry import FloatArray, back_project
+from runtime.contracts.geometry import FloatArray
 from runtime.contracts.manifest import AnchorPriors, Manifest
 from runtime.contracts.objects import Detections3D, wrap_angle_rad
 from runtime.hill_climbing import CLIMBING_CLASS, climb
@@ -151,25 +151,39 @@ def to_detections(
 ) -> Detections3D:
     """Boxes of the network image to the camera's pixels and frame.
 
-    The centre is back-projected from (cx, cy, z); yaw = alpha + atan2(X + t_x / f_x, z).
+    In float32 and in the official code's order, so that result files agree with its own to the last printed digit:
+    X = (cx z - c_x z - t_x) / f_x, Y likewise, yaw = alpha + atan2(X + t_x / f_x, z). P2's third row is left out, as
+    there: z is taken as the depth in the reference frame (t_z is 2.7 mm in KITTI).
     """
-    boxes = found.boxes.astype(np.float64)
+    boxes = found.boxes
     real = (boxes[:, Z] > 0) & (boxes[:, WIDTH : LENGTH + 1] > 0).all(axis=1) & np.isfinite(boxes).all(axis=1)
-    boxes = boxes[real]
-    P2 = view.geometry.P2
-    depth_m = boxes[:, Z]
-    flat = P2.copy()
-    flat[2, 3] = 0.0  # the official code takes z as the depth in the reference frame; t_z is 2.7 mm in KITTI
-    center = back_project(flat, boxes[:, CX : CY + 1], depth_m)
-    alpha = boxes[:, ALPHA]
-    yaw = alpha + np.arctan2(center[:, 0] + P2[0, 3] / P2[0, 0], depth_m)
+    P2 = view.geometry.P2.astype(np.float32)
+    z = boxes[:, Z]
+    with np.errstate(all="ignore"):  # what overflows is dropped
+        x = (boxes[:, CX] * z - P2[0, 2] * z - P2[0, 3]) / P2[0, 0]
+        y = (boxes[:, CY] * z - P2[1, 2] * z - P2[1, 3]) / P2[1, 1]
+        yaw = boxes[:, ALPHA] + np.arctan2(x + P2[0, 3] / P2[0, 0], z)
+    real &= np.isfinite(x) & np.isfinite(y)
+    alpha = boxes[real, ALPHA].astype(np.float64)
+    yaw = yaw[real].astype(np.float64)
     return Detections3D(
         class_id=found.class_id[real],
         score=found.score[real].astype(np.float64),
-        box_in_left_image=view.to_camera(boxes[:, X1 : Y2 + 1]),
-        center_in_camera=center,
-        size_hwl=boxes[:, [HEIGHT, WIDTH, LENGTH]],
+        box_in_left_image=_to_camera_pixels(boxes[real, X1 : Y2 + 1], view).astype(np.float64),
+        center_in_camera=np.stack([x, y, z], axis=1)[real].astype(np.float64),
+        size_hwl=boxes[real][:, [HEIGHT, WIDTH, LENGTH]].astype(np.float64),
         alpha_rad=alpha if official_angles else wrap_angle_rad(alpha),
         yaw_rad=yaw if official_angles else wrap_angle_rad(yaw),
         class_names=classes,
     )
+
+
+def _to_camera_pixels(boxes: FloatArray32, view: NetworkView) -> FloatArray32:
+    """`NetworkView.to_camera` as the official code computes it: in float32, by reciprocals, from the two cameras."""
+    network, camera = view.geometry.P2.astype(np.float32), view.camera_geometry.P2.astype(np.float32)
+    moved = boxes.copy()
+    for axis in (0, 1):
+        scale = (np.float32(1) / network[axis, axis]) * camera[axis, axis]
+        shift = (np.float32(1) / scale) * camera[axis, 2] - network[axis, 2]
+        moved[:, axis::2] = (boxes[:, axis::2] + shift) * scale
+    return moved

@@ -155,20 +155,24 @@ def format_detections(detections: Detections3D) -> str:
     Angles are written as the record holds them (decoding wraps them unless told to keep the official values).
     """
     lines = []
+    bottom_m = detections.center_in_camera[:, 1].astype(np.float32)  # the official writer's sum is one in float32
+    bottom_m += np.float32(0.5) * detections.size_hwl[:, 0].astype(np.float32)
     for row in range(len(detections)):
         name = detections.class_names[detections.class_id[row]]
-        lines.append(f"{name} -1 -1 {_box_text(detections, row, decimals=6)} {float(detections.score[row])!r} \n")
+        box = _box_text(detections, row, bottom_m=float(bottom_m[row]), decimals=6)
+        lines.append(f"{name} -1 -1 {box} {float(detections.score[row])!r} \n")
     return "".join(lines)
 
 
 def format_labels(objects: Objects3D, *, tracking_frame: int | None = None) -> str:
     """Object label lines, DontCare last; with ``tracking_frame`` the tracking layout (frame and track id in front)."""
     lines = []
+    bottom_m = objects.center_in_camera[:, 1] + 0.5 * objects.size_hwl[:, 0]
     for row in range(len(objects)):
         lead = "" if tracking_frame is None else f"{tracking_frame} {objects.track_id[row]} "
         name = objects.class_names[objects.class_id[row]]
         seen = f"{objects.truncation[row]:.2f} {objects.occlusion[row]}"
-        lines.append(f"{lead}{name} {seen} {_box_text(objects, row, decimals=4)}")
+        lines.append(f"{lead}{name} {seen} {_box_text(objects, row, bottom_m=bottom_m[row], decimals=4)}")
     for box in objects.dont_care_boxes:
         lead = "" if tracking_frame is None else f"{tracking_frame} -1 "
         pixels = " ".join(f"{value:.4f}" for value in box)
@@ -176,12 +180,12 @@ def format_labels(objects: Objects3D, *, tracking_frame: int | None = None) -> s
     return "".join(line + "\n" for line in lines)
 
 
-def _box_text(boxes: Detections3D | Objects3D, row: int, *, decimals: int) -> str:
+def _box_text(boxes: Detections3D | Objects3D, row: int, *, bottom_m: float, decimals: int) -> str:
     """Alpha, 2D box, height, width, length, bottom centre and yaw of one row."""
-    x, y, z = boxes.center_in_camera[row]
+    x, _, z = boxes.center_in_camera[row]
     height, width, length = boxes.size_hwl[row]
     pixels = boxes.box_in_left_image[row]
-    numbers = [boxes.alpha_rad[row], *pixels, height, width, length, x, y + 0.5 * height, z, boxes.yaw_rad[row]]
+    numbers = [boxes.alpha_rad[row], *pixels, height, width, length, x, bottom_m, z, boxes.yaw_rad[row]]
     return " ".join(f"{value:.{decimals}f}" for value in numbers)
 
 

@@ -25,7 +25,6 @@ from runtime.preprocess import network_view
 
 LINE = "Car 0.10 1 1.57 100.00 150.00 200.00 220.00 1.50 1.60 3.90 -2.00 1.70 20.00 1.47"
 OFFICIAL_WRITER_MINIMUM = 0.4  # the official writer leaves lower scores out; ours leaves that to the caller
-OFFICIAL_WRITER_ROUNDING = 6.2e-5  # it computes in float32: one unit in the last place at 700 px is 6.1e-5
 
 
 def test_empty_files() -> None:
@@ -120,10 +119,4 @@ def test_official_result_file(reference_dir: Path) -> None:
     found = NetworkBoxes(boxes[kept], scores[kept], np.array([names.index(facts["names"][row]) for row in kept]), kept)
     ours = format_detections(to_detections(found, view, names, official_angles=True))
     # ours are sorted by score, the recording is in the order given
-    for line, expected in zip(sorted(ours.splitlines()), sorted(facts["file_text"].splitlines()), strict=True):
-        assert line.endswith(" ") and expected.endswith(" ")
-        words, wanted = line.split(), expected.split()
-        assert words[:3] == wanted[:3] and words[-1] == wanted[-1]
-        np.testing.assert_allclose(
-            np.array(words[3:], float), np.array(wanted[3:], float), rtol=0, atol=OFFICIAL_WRITER_ROUNDING
-        )
+    assert sorted(ours.splitlines()) == sorted(facts["file_text"].splitlines())
