@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal, Optional
+from typing import Annotated, Optional
 
 import typer
 
@@ -28,39 +28,70 @@ def train_command(
         Optional[Path],  # noqa: UP045
         typer.Option(help="Weights or checkpoint to start from, with a fresh optimiser."),
     ] = None,
-    steps: Annotated[int, typer.Option(help="Optimisation steps of the whole run.")] = 10000,
+    steps: Annotated[
+        Optional[int],  # noqa: UP045
+        typer.Option(min=1, help="Optimisation steps of the whole run; the preset's epochs, else 10000, if not given."),
+    ] = None,
+    epochs: Annotated[
+        Optional[int],  # noqa: UP045
+        typer.Option(min=1, help="Length of the run in epochs, instead of --steps."),
+    ] = None,
     cooldown: Annotated[int, typer.Option(help="Last steps, over which the learning rate falls (hold).")] = 1000,
-    schedule: Annotated[str, typer.Option(help="hold or cosine.")] = "hold",
-    batch: Annotated[Optional[int], typer.Option(help="Pairs a step; the preset's where not given.")] = None,  # noqa: UP045
+    warmup: Annotated[
+        Optional[int],  # noqa: UP045
+        typer.Option(min=0, help="First steps, over which it rises; 100 with hold, else 0, if not given."),
+    ] = None,
+    schedule: Annotated[
+        Optional[str],  # noqa: UP045
+        typer.Option(help="hold, cosine (by epoch) or cosine-step; the preset's where not given."),
+    ] = None,
+    batch: Annotated[
+        Optional[int],  # noqa: UP045
+        typer.Option(min=1, help="Pairs a step, of all processes together; the preset's where not given."),
+    ] = None,
     learning_rate: Annotated[Optional[float], typer.Option(help="Peak; the preset's where not given.")] = None,  # noqa: UP045
     workers: Annotated[int, typer.Option(help="Processes that read frames.")] = 1,
     device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     precision: Annotated[
         str, typer.Option(help="auto, bf16 or float32; auto is bf16 where the hardware has it.")
     ] = "auto",
+    average_decay: Annotated[
+        float,
+        typer.Option(min=0, max=1, help="Of the average of the weights, which is what is saved; 0 saves the last."),
+    ] = 0.999,
+    freeze_norms: Annotated[
+        bool, typer.Option("--freeze-norms", help="Keep the statistics of all batch norms, for small batches.")
+    ] = False,
+    validation: Annotated[
+        Optional[str],  # noqa: UP045
+        typer.Option(help="Labelled stereo source URI: AP while training, and the best weights kept."),
+    ] = None,
+    validate_every: Annotated[
+        int, typer.Option(min=0, help="Steps between validations; 0 validates after each epoch.")
+    ] = 0,
     seed: Annotated[int, typer.Option(help="Seed of weights, order and augmentation.")] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the run's checkpoint.")] = False,
 ) -> None:
-    """Train; writes weights.safetensors, priors.npz, run.json, log.csv, a plot, and checkpoints that resume."""
-    import shutil
+    """Train; writes weights.safetensors (averaged weights), priors.npz, run.json, logs, and checkpoints that resume.
 
+    With --validation also best.safetensors. Started by torchrun, several processes or machines train as one.
+    """
     import torch
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+    from edge.cli.train_progress import TrainProgress
     from edge.detector.network import StereoDetector
     from edge.detector.presets import preset as find_preset
     from edge.detector.weights import PRIORS_KEY, load_backbone, load_weights, priors_digest, save_weights
-    from edge.training.labelled_views import labelled_views
-    from edge.training.log_plot import plot_log
+    from edge.training.distributed import process_group, ranks_of_environment, wait_for_all
     from edge.training.loop import train
     from edge.training.precision import wants_mixed_precision
-    from edge.training.priors import anchor_statistics
     from edge.training.run_record import RunSettings, check_same_run, write_settings
     from edge.training.samples import SampleMaker
+    from edge.training.schedule import schedule_kind
+    from edge.training.start import check_device, open_run, run_priors, run_steps
     from edge.training.stream import MixedFrames
-    from runtime.contracts.errors import CheckpointError, EdgeError, OutputError
-    from runtime.contracts.manifest import file_sha256, read_priors, write_priors
+    from edge.training.validation import Validation
+    from runtime.contracts.errors import CheckpointError, EdgeError
     from runtime.sources.factory import open_sequence
 
     chosen = find_preset(preset)
@@ -69,72 +100,80 @@ def train_command(
         raise EdgeError(
             f"--repeat names {len(repeat or [])} counts for {len(dataset)} datasets, expected at most one each, from 1"
         )
-    if schedule not in ("hold", "cosine"):
-        raise EdgeError(f"--schedule is {schedule!r}, expected hold or cosine; choose one")
-    if device.startswith("cuda") and not torch.cuda.is_available():
-        raise EdgeError("--device cuda finds no GPU, expected one with a CUDA build of torch; use --device cpu")
-    if out.exists() and any(out.iterdir()) and not resume:
-        raise OutputError(f"{out} is not empty, expected a new run directory; choose another --out or add --resume")
-    out.mkdir(parents=True, exist_ok=True)
-    console = Console(stderr=True)
-
-    torch.manual_seed(seed)
+    kind = schedule_kind(schedule or chosen.training.schedule)
+    batch_size = batch or chosen.training.batch_size
+    check_device(device)
+    ranks = ranks_of_environment()
+    ranks.share_of(batch_size)
     sources = [open_sequence(uri) for uri in dataset]
-    priors_file = out / "priors.npz"
-    if priors is not None and priors_file.exists() and file_sha256(priors) != file_sha256(priors_file):
-        raise CheckpointError(f"{priors} are not the priors of the run in {out}, expected the same; leave --priors out")
-    if not priors_file.exists():
-        if priors is not None:
-            shutil.copyfile(priors, priors_file)
-        else:
-            views = (view for source in sources for view in labelled_views(source, chosen))
-            write_priors(
-                priors_file,
-                chosen.classes,
-                anchor_statistics(views, chosen.classes, chosen.anchors, input_size_hw=chosen.input_size_hw),
+    measured = open_sequence(validation) if validation is not None else None
+    first_step = 0
+    if ranks.writes:  # before the others join: what is wrong is said once
+        first_step = open_run(out, resume=resume)
+        run_priors(out, chosen, sources, given=priors)
+    with process_group(device) as (ranks, own_device):
+        wait_for_all(ranks)
+        if not ranks.writes:
+            first_step = open_run(out, resume=True) if resume else 0
+        tables = run_priors(out, chosen, sources, given=None)
+        torch.manual_seed(seed)
+        detector = StereoDetector(chosen)
+        if backbone is not None:
+            load_backbone(detector, backbone)
+        if start is not None:
+            load_weights(detector, start)
+        frames = MixedFrames(sources, weights, maker=SampleMaker(chosen, tables), seed=seed)
+        length = run_steps(chosen, steps=steps, epochs=epochs, epoch_samples=frames.epoch_length, batch_size=batch_size)
+        settings = RunSettings(
+            steps=length,
+            batch_size=batch_size,
+            learning_rate=learning_rate or chosen.training.learning_rate,
+            final_learning_rate=chosen.training.final_learning_rate,
+            schedule=kind,
+            warmup_steps=warmup if warmup is not None else (100 if kind == "hold" else 0),
+            cooldown_steps=min(cooldown, length) if kind == "hold" else 0,
+            workers=workers,
+            seed=seed,
+            device=own_device,
+            mixed_precision=wants_mixed_precision(precision, own_device),
+            average_decay=average_decay,
+            freeze_norms=freeze_norms,
+            validate_every=validate_every or max(1, frames.epoch_length // batch_size),
+        )
+        if resume:
+            check_same_run(out, chosen, settings)
+        wait_for_all(ranks)
+        if ranks.writes:
+            write_settings(out, chosen, settings, dict(zip(dataset, weights, strict=True)))
+        metadata = {"preset": chosen.name, "seed": str(seed), PRIORS_KEY: priors_digest(tables, chosen.classes)}
+        validate = None
+        if measured is not None:
+            validate = Validation(
+                detector,
+                chosen,
+                tables,
+                frames=measured,
+                run_dir=out,
+                metadata=metadata,
+                first_step=first_step,
+                ranks=ranks,
             )
-    tables = read_priors(priors_file, chosen.classes, chosen.anchors)
-    detector = StereoDetector(chosen)
-    if backbone is not None:
-        load_backbone(detector, backbone)
-    if start is not None:
-        load_weights(detector, start)
-    frames = MixedFrames(sources, weights, maker=SampleMaker(chosen, tables), seed=seed)
-    kind: Literal["cosine", "hold"] = "hold" if schedule == "hold" else "cosine"
-    settings = RunSettings(
-        steps=steps,
-        batch_size=batch or chosen.training.batch_size,
-        learning_rate=learning_rate or chosen.training.learning_rate,
-        final_learning_rate=chosen.training.final_learning_rate,
-        schedule=kind,
-        cooldown_steps=min(cooldown, steps) if kind == "hold" else 0,
-        workers=workers,
-        seed=seed,
-        device=device,
-        mixed_precision=wants_mixed_precision(precision, device),
-    )
-    if resume:
-        check_same_run(out, chosen, settings)
-    write_settings(out, chosen, settings, dict(zip(dataset, weights, strict=True)))
-    console.print(f"{frames.epoch_length} samples an epoch, {settings.batch_size} a step, {steps} steps")
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console) as progress:
-        task = progress.add_task("training", total=steps)
-
-        def show(step: int, losses: dict[str, float]) -> None:
-            total = losses["class_loss"] + losses["box_loss"]
-            progress.update(task, completed=step, description=f"training, loss {total:.3f}")
-
-        average = train(detector, chosen, frames, settings=settings, run_dir=out, resume=resume, on_step=show)
-    if not all(torch.isfinite(value).all() for value in average.state.values() if value.is_floating_point()):
-        raise CheckpointError(f"the run in {out} ended with weights that are not finite; lower --learning-rate")
-    weights_file = out / "weights.safetensors"
-    metadata = {
-        "preset": chosen.name,
-        "steps": str(steps),
-        "seed": str(seed),
-        PRIORS_KEY: priors_digest(tables, chosen.classes),
-    }
-    save_weights(weights_file, {name: value.cpu() for name, value in average.state.items()}, metadata=metadata)
-    plot_log(out / "log.csv", out / "log.png")
-    console.print(f"wrote {weights_file}")
+        with TrainProgress(settings, samples=frames.epoch_length, shown=ranks.writes) as progress:
+            average = train(
+                detector,
+                chosen,
+                frames,
+                settings=settings,
+                run_dir=out,
+                resume=resume,
+                on_step=progress.step,
+                validate=validate,
+                ranks=ranks,
+            )
+        if not ranks.writes:
+            return
+        if not all(torch.isfinite(value).all() for value in average.state.values() if value.is_floating_point()):
+            raise CheckpointError(f"the run in {out} ended with weights that are not finite; lower --learning-rate")
+        state = {name: value.cpu() for name, value in average.state.items()}
+        save_weights(out / "weights.safetensors", state, metadata=metadata | {"steps": str(length)})
+        progress.finish(out)

@@ -9,6 +9,7 @@ of 4 m at 20 m in the same number of pixels.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 from runtime.contracts.errors import EdgeError
 from runtime.contracts.manifest import (
@@ -77,6 +78,8 @@ class TrainingDefaults:
             the official code takes them as background.
         claim_without_overlap: an object without any overlap claims every anchor without overlap (official flaw).
         learning_rate, batch_size, gradient_clip_norm: optimiser settings.
+        schedule: of the learning rate, see `edge.training.schedule`.
+        epochs: length of a run unless told otherwise, 50 as in the paper (official code: 80); None for 10,000 steps.
         disparity_weight, z_weight: of the disparity loss and of the depth term.
         photometric_first: colour changes before crop and resize (official) or after (the same draws on fewer pixels).
         matching_disparities, matching_block: of the block matcher that supervises disparity, network pixels.
@@ -86,6 +89,8 @@ class TrainingDefaults:
     class_weights: tuple[float, ...]
     learning_rate: float = 1e-4
     final_learning_rate: float = 5e-6
+    schedule: Literal["hold", "cosine", "cosine-step"] = "cosine"
+    epochs: int | None = 50
     batch_size: int = 4
     gradient_clip_norm: float = 0.1
     frozen_backbone_parts: int = 0
@@ -172,6 +177,8 @@ PRESETS: dict[str, Preset] = {
         training=TrainingDefaults(
             class_weights=(20.0, 40.0, 40.0),
             learning_rate=5e-4,
+            schedule="hold",
+            epochs=None,
             batch_size=8,
             gradient_clip_norm=5.0,
             frozen_backbone_parts=1,

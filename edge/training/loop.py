@@ -143,12 +143,12 @@ def train(
             epoch = schedule.epoch(step)
             step += 1
             average.update(detector, step)
-            row = log.add(step, rate, losses) if log is not None else None
+            last = step == settings.steps
+            row = log.add(step, rate, losses, last=last) if log is not None else None
             if row is not None:
                 scalars = {f"train/{name}": value for name, value in row.items() if name != "step"}
                 events.add(step, scalars | {"train/epoch": epoch})
             on_step(step, losses)
-            last = step == settings.steps
             if step % settings.checkpoint_every == 0 or last:
                 save(CHECKPOINT_FILE)
             if validate is not None and ((settings.validate_every and step % settings.validate_every == 0) or last):

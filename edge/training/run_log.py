@@ -39,12 +39,12 @@ class RunLog:
         with path.open("w", newline="") as stream:
             csv.writer(stream).writerows([LOG_COLUMNS, *rows])
 
-    def add(self, step: int, rate: float, losses: dict[str, float]) -> dict[str, float] | None:
-        """Take in a step; the line that was written, if this step completes one."""
+    def add(self, step: int, rate: float, losses: dict[str, float], *, last: bool = False) -> dict[str, float] | None:
+        """Take in a step; the line that was written, if this step completes one or is the run's last."""
         self._count += 1
         for name, value in losses.items():
             self._sums[name] = self._sums.get(name, 0.0) + value
-        if step % self._every:
+        if step % self._every and not last:
             return None
         now = time.monotonic()
         means = {name: value / self._count for name, value in self._sums.items()}

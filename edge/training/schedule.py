@@ -6,8 +6,22 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
+from runtime.contracts.errors import EdgeError
+
 ScheduleKind = Literal["cosine", "cosine-step", "hold"]
 SCHEDULES: tuple[ScheduleKind, ...] = ("hold", "cosine", "cosine-step")
+
+
+def schedule_kind(word: str) -> ScheduleKind:
+    """The schedule of that name.
+
+    Raises:
+        EdgeError: there is none.
+    """
+    for kind in SCHEDULES:
+        if word == kind:
+            return kind
+    raise EdgeError(f"--schedule is {word!r}, expected {', '.join(SCHEDULES)}; choose one")
 
 
 @dataclass(frozen=True, slots=True)

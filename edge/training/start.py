@@ -1,0 +1,83 @@
+"""What a run needs before its first step: a folder, priors, a length."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+
+from edge.detector.presets import Preset
+from edge.training.checkpoint import CHECKPOINT_FILE, load_checkpoint
+from edge.training.labelled_views import labelled_views
+from edge.training.priors import anchor_statistics
+from edge.training.schedule import steps_of
+from runtime.contracts.errors import CheckpointError, EdgeError, OutputError
+from runtime.contracts.manifest import AnchorPriors, file_sha256, read_priors, write_priors
+from runtime.sources.base import FrameSequence
+
+PRIORS_FILE = "priors.npz"
+DEFAULT_STEPS = 10000
+
+
+def check_device(device: str) -> None:
+    """Refuse a GPU that is not there.
+
+    Raises:
+        EdgeError: another word than cpu or cuda, or CUDA without a GPU.
+    """
+    if device != "cpu" and device.partition(":")[0] != "cuda":
+        raise EdgeError(f"--device is {device!r}, expected cpu or cuda; choose one")
+    if device.startswith("cuda") and not torch.cuda.is_available():
+        raise EdgeError("--device cuda finds no GPU, expected one with a CUDA build of torch; use --device cpu")
+
+
+def open_run(out: Path, *, resume: bool) -> int:
+    """Make the run's folder, or look into it.
+
+    Returns:
+        The step that the run goes on from.
+
+    Raises:
+        OutputError: the folder holds something and the run is new.
+        CheckpointError: ``resume`` without a checkpoint.
+    """
+    if out.exists() and any(out.iterdir()) and not resume:
+        raise OutputError(f"{out} is not empty, expected a new run directory; choose another --out or add --resume")
+    out.mkdir(parents=True, exist_ok=True)
+    return int(load_checkpoint(out / CHECKPOINT_FILE)["step"]) if resume else 0
+
+
+def run_priors(out: Path, preset: Preset, sources: Sequence[FrameSequence], *, given: Path | None) -> AnchorPriors:
+    """The run's anchor priors: those in its folder, the given ones, or those of the datasets' labels.
+
+    Raises:
+        CheckpointError: the given ones are not those that the run began with.
+    """
+    file = out / PRIORS_FILE
+    if given is not None and file.exists() and file_sha256(given) != file_sha256(file):
+        raise CheckpointError(f"{given} are not the priors of the run in {out}, expected the same; leave --priors out")
+    if not file.exists():
+        if given is not None:
+            shutil.copyfile(given, file)
+        else:
+            views = (view for source in sources for view in labelled_views(source, preset))
+            tables = anchor_statistics(views, preset.classes, preset.anchors, input_size_hw=preset.input_size_hw)
+            write_priors(file, preset.classes, tables)
+    return read_priors(file, preset.classes, preset.anchors)
+
+
+def run_steps(preset: Preset, *, steps: int | None, epochs: int | None, epoch_samples: int, batch_size: int) -> int:
+    """Length of the run: what was asked for, else the preset's epochs, else `DEFAULT_STEPS`.
+
+    Raises:
+        EdgeError: both were asked for.
+    """
+    if steps is not None and epochs is not None:
+        raise EdgeError(f"--steps {steps} and --epochs {epochs} both give the length, expected one; leave one out")
+    if steps is None and epochs is None:
+        epochs = preset.training.epochs
+    if epochs is not None:
+        return steps_of(epochs, epoch_samples=epoch_samples, batch_size=batch_size)
+    return DEFAULT_STEPS if steps is None else steps
