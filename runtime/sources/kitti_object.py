@@ -1,11 +1,14 @@
 """``kitti-object:ROOT?split=val``: training/{image_2,image_3,calib,label_2}, ImageSets/NAME.txt.
 
 Without ``split``: every frame of ``training``. A split named ``test`` lies in ``testing``, as the benchmark
-has it.
+has it. Where the folder has no ``ImageSets/NAME.txt``, as it is downloaded, ``train`` and ``val`` are Chen's lists
+(3,712 and 3,769 frames of the benchmark's training set), which lie in ``splits`` beside this file, and ``test`` is
+every frame of ``testing``. Frames keep their KITTI numbers.
 """
 
 from __future__ import annotations
 
+from importlib.resources import files
 from pathlib import Path
 
 from runtime.contracts.errors import SourceError
@@ -20,6 +23,8 @@ from runtime.sources.uri import SourceOptions, SourceUri
 OPTIONS = ("split",)
 LAYOUT = "ROOT/training/{image_2,image_3,calib,label_2}"
 TEST_SPLIT = "test"
+BUNDLED_SPLITS = ("train", "val")
+"""Chen's lists (Chen et al., 3D Object Proposals for Accurate Object Class Detection, 2015)."""
 
 
 def open_kitti_object(uri: SourceUri, options: SourceOptions) -> ImagePairs:
@@ -33,7 +38,8 @@ def open_kitti_object(uri: SourceUri, options: SourceOptions) -> ImagePairs:
     split = uri.options.get("split")
     folder = root / ("testing" if split == TEST_SPLIT else "training")
     left = expect_folder(folder / "image_2", uri=uri.text, layout=LAYOUT)
-    stems = list(list_images(left)) if split is None else read_split(root / "ImageSets", split, uri=uri.text)
+    listed = split is not None and (split != TEST_SPLIT or (root / "ImageSets" / f"{split}.txt").is_file())
+    stems = read_split(root / "ImageSets", str(split), uri=uri.text) if listed else list(list_images(left))
     pairs = [
         PairFiles(
             frame_id=stem,
@@ -50,19 +56,26 @@ def open_kitti_object(uri: SourceUri, options: SourceOptions) -> ImagePairs:
 
 
 def read_split(folder: Path, name: str, *, uri: str) -> list[str]:
-    """Frame names of ``ImageSets/NAME.txt``, in the file's order.
+    """Frame names of ``ImageSets/NAME.txt``, in the file's order; Chen's list where there is no such file.
 
     Raises:
         SourceError: there is no such split, or it is empty.
     """
     path = folder / f"{name}.txt"
+    if not path.is_file() and name in BUNDLED_SPLITS:
+        return bundled_split(name)
     if not path.is_file():
-        found = ", ".join(sorted(item.stem for item in folder.glob("*.txt"))) or "none"
+        found = ", ".join(sorted({item.stem for item in folder.glob("*.txt")}.union(BUNDLED_SPLITS)))
         raise SourceError(f"{uri}: found no split {name!r} in {folder}, expected one of: {found}; choose one")
     stems = path.read_text(encoding="utf-8").split()
     if not stems:
         raise SourceError(f"{uri}: the split {path} is empty, expected one frame name a line; fill it")
     return stems
+
+
+def bundled_split(name: str) -> list[str]:
+    """Frame names of one of Chen's lists, ascending."""
+    return (files("runtime.sources") / "splits" / f"{name}.txt").read_text(encoding="utf-8").split()
 
 
 class _LabelFiles:

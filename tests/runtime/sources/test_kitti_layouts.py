@@ -16,6 +16,7 @@ from runtime.contracts.kitti import format_calib
 from runtime.sources.base import FrameSequence, as_sequence
 from runtime.sources.factory import open_source
 from runtime.sources.kitti_files import read_seconds, time_of
+from runtime.sources.kitti_object import bundled_split
 
 SIZE_WH = (64, 32)
 TIME_TOLERANCE_SECS = 1e-6
@@ -210,3 +211,42 @@ def test_real_frames(uri: str, count: int, size_wh: tuple[int, int] | None, kitt
         assert frame.right is not None
         assert size_wh in (None, frame.size_wh)
         assert 0.53 < frame.geometry.baseline_m < 0.54
+
+
+def test_chens_split_where_the_folder_has_no_lists(tmp_path: Path) -> None:
+    training = tmp_path / "training"
+    (training / "calib").mkdir(parents=True)
+    for stem in bundled_split("val"):
+        (training / "calib" / f"{stem}.txt").write_text(calibration(), encoding="utf-8")
+    image = np.full((SIZE_WH[1], SIZE_WH[0], 3), 90, np.uint8)
+    for folder in ("image_2", "image_3"):
+        (training / folder).mkdir()
+        for stem in bundled_split("val"):
+            (training / folder / f"{stem}.png").touch()
+        assert cv2.imwrite(str(training / folder / "000001.png"), image)
+    with as_sequence(open_source(f"kitti-object:{tmp_path}?split=val")) as source:
+        assert len(source) == 3769
+        assert [source.frame_id(index) for index in range(3)] == ["000001", "000002", "000004"]
+        assert source[0].frame_id == "000001"
+    with pytest.raises(FrameError, match="000000"):
+        open_source(f"kitti-object:{tmp_path}?split=train")
+    with pytest.raises(SourceError, match=r"no split 'dev'.*train, val"):
+        open_source(f"kitti-object:{tmp_path}?split=dev")
+
+
+def test_chens_lists_share_no_frame() -> None:
+    train, val = bundled_split("train"), bundled_split("val")
+    assert (len(train), len(val)) == (3712, 3769)
+    assert train == sorted(set(train)) and val == sorted(set(val))
+    assert set(train) | set(val) == {f"{number:06d}" for number in range(7481)}  # none twice, none left out
+
+
+def test_own_lists_win_over_the_bundled_ones(tiny_drive: Path) -> None:
+    with as_sequence(open_source(f"kitti-object:{tiny_drive}?split=val")) as source:
+        assert [source.frame_id(index) for index in range(len(source))] == ["000002", "000003"]
+
+
+def test_unlisted_test_split_is_all_of_testing(tiny_drive: Path) -> None:
+    shutil.copytree(tiny_drive / "training", tiny_drive / "testing")
+    with as_sequence(open_source(f"kitti-object:{tiny_drive}?split=test")) as source:
+        assert len(source) == 4
