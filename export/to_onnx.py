@@ -24,13 +24,20 @@ IR_VERSION = 10
 """The file format that goes with it; newer onnx packages would write one that onnxruntime refuses."""
 
 
-def to_onnx(module: nn.Module, inputs: Mapping[str, Tensor], output_names: Sequence[str]) -> onnx.ModelProto:
+def to_onnx(
+    module: nn.Module,
+    inputs: Mapping[str, Tensor],
+    output_names: Sequence[str],
+    *,
+    opset_version: int = OPSET_VERSION,
+) -> onnx.ModelProto:
     """Exports a module with fixed shapes.
 
     Args:
         module: The network; exported in eval mode, its mode put back afterwards.
         inputs: Example inputs by the names that the graph's inputs get, in the order of ``forward``.
         output_names: Names for what ``forward`` returns, in its order.
+        opset_version: Of the standard operators; a later one for a module with operators that came later.
 
     Returns:
         The finished graph: weights inside, correlations as single custom nodes with their function beside.
@@ -44,7 +51,7 @@ def to_onnx(module: nn.Module, inputs: Mapping[str, Tensor], output_names: Seque
                 module,
                 tuple(example.clone() for example in inputs.values()),  # one tensor twice would become one input
                 dynamo=True,
-                opset_version=OPSET_VERSION,
+                opset_version=opset_version,
                 input_names=list(inputs),
                 output_names=list(output_names),
                 verbose=False,
@@ -58,10 +65,10 @@ def to_onnx(module: nn.Module, inputs: Mapping[str, Tensor], output_names: Seque
     if program is None:
         raise ExportError(f"{type(module).__name__}: found no program; expected one; use the pinned torch")
     model: onnx.ModelProto = program.model_proto
-    return finish(_with_functions(model))
+    return finish(_with_functions(model, opset_version))
 
 
-def _with_functions(model: onnx.ModelProto) -> onnx.ModelProto:
+def _with_functions(model: onnx.ModelProto, opset_version: int) -> onnx.ModelProto:
     """Adds the function bodies of the custom nodes and fixes the versions of all that the file names."""
     unknown = set(custom_nodes(model)) - {STEREO_CORRELATION}
     if unknown:
@@ -70,9 +77,9 @@ def _with_functions(model: onnx.ModelProto) -> onnx.ModelProto:
             " correlate through export.correlation"
         )
     del model.functions[:]
-    versions = {"": OPSET_VERSION}
+    versions = {"": opset_version}
     if custom_nodes(model):
-        model.functions.append(stereo_correlation_function(OPSET_VERSION))
+        model.functions.append(stereo_correlation_function(opset_version))
         versions[DOMAIN] = VERSION
     del model.opset_import[:]
     model.opset_import.extend(onnx.helper.make_opsetid(domain, number) for domain, number in versions.items())

@@ -28,7 +28,7 @@ def export_command(
     checkpoint: Annotated[Path, typer.Option(help="Weights: .safetensors of `edge train`, or a .pt/.pth.")],
     out: Annotated[Path, typer.Option(help="Model directory to write; an older one there is replaced.")],
     preset: Annotated[
-        str, typer.Option(help="compact or paper; widths of an official checkpoint are read from its shapes.")
+        str, typer.Option(help="compact, paper or mono; widths of an official checkpoint are read from its shapes.")
     ] = "compact",
     priors: Annotated[
         Optional[Path],  # noqa: UP045 - typer reads this form
@@ -54,8 +54,8 @@ def export_command(
     from rich.console import Console
     from torch import nn
 
+    from edge.detector.build import build_detector
     from edge.detector.checkpoint_file import read_checkpoint
-    from edge.detector.network import StereoDetector
     from edge.detector.official_shapes import class_count, fitted_preset
     from edge.detector.presets import preset as find_preset
     from edge.detector.weights import check_priors, load_weights
@@ -82,7 +82,7 @@ def export_command(
             console.print(f"classes by the files of the priors: {', '.join(names)}")
     chosen = fitted_preset(named, weights, names)
     manifest = chosen.manifest(input_type=input_type.value)
-    detector = StereoDetector(chosen)
+    detector = build_detector(chosen)
     load_weights(detector, weights)
     tables = find_priors(chosen, checkpoint, priors)
     check_priors(checkpoint, tables, chosen.classes)
@@ -94,7 +94,7 @@ def export_command(
 
     with console.status("exporting"):
         examples = {name: torch.from_numpy(array) for name, array in feeds[0].items()}
-        model = to_onnx(network, examples, ("cls_logits", "box_deltas"))
+        model = to_onnx(network, examples, ("cls_logits", "box_deltas"), opset_version=chosen.onnx_opset)
         content = model.SerializeToString()
     with console.status("comparing with torch"):
         report = measure_parity(network, content, feeds)

@@ -8,6 +8,7 @@ import torch
 from torch import nn
 
 from edge.detector.blocks import BasicBlock, conv_norm_relu
+from edge.detector.deformable import DeformableConv2d
 from edge.detector.presets import HeadShape
 from runtime.boxcode import DELTA_COUNT
 
@@ -39,12 +40,24 @@ class AnchorHead(nn.Module):
             _final(width, anchors_per_cell * self.logit_count, shape.final_kernel),
         )
         box_width = shape.box_width or in_channels
-        self.regression = nn.Sequential(
-            conv_norm_relu(in_channels, box_width),
-            BasicBlock(box_width, box_width),
-            nn.ReLU(),  # of a ReLU: kept for the official layer numbering
-            _final(box_width, anchors_per_cell * DELTA_COUNT, shape.final_kernel),
-        )
+        final = _final(box_width, anchors_per_cell * DELTA_COUNT, shape.final_kernel)
+        if shape.deformable:
+            self.regression = nn.Sequential(
+                DeformableConv2d(in_channels, box_width),
+                nn.BatchNorm2d(box_width),
+                nn.ReLU(inplace=True),
+                nn.Conv2d(box_width, box_width, 3, padding=1),
+                nn.BatchNorm2d(box_width),
+                nn.ReLU(inplace=True),
+                final,
+            )
+        else:
+            self.regression = nn.Sequential(
+                conv_norm_relu(in_channels, box_width),
+                BasicBlock(box_width, box_width),
+                nn.ReLU(),  # of a ReLU: kept for the official layer numbering
+                final,
+            )
         if shape.initial_probability is not None:
             bias = self.classification[-1].bias.data.view(anchors_per_cell, self.logit_count)  # type: ignore[union-attr, operator]
             bias[:, :-1] = math.log(shape.initial_probability / (1 - shape.initial_probability))

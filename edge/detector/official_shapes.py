@@ -15,9 +15,9 @@ import torch
 
 from edge.detector.backbone import LAYOUT_BY_DEPTH
 from edge.detector.blocks import Bottleneck
+from edge.detector.build import build_detector
 from edge.detector.checkpoint_file import Checkpoint
 from edge.detector.misfit import compare, shapes_of
-from edge.detector.network import StereoDetector
 from edge.detector.presets import HeadShape, NeckShape, NetworkShape, Preset
 from runtime.boxcode import DELTA_COUNT
 from runtime.contracts.errors import CheckpointError
@@ -60,7 +60,7 @@ def class_count(preset: Preset, checkpoint: Checkpoint) -> int:
 def expected_shapes(preset: Preset) -> dict[str, tuple[int, ...]]:
     """Shapes by name of a preset's network; nothing is allocated."""
     with torch.device("meta"):
-        return shapes_of(StereoDetector(preset).state_dict())
+        return shapes_of(build_detector(preset).state_dict())
 
 
 class _Reader:
@@ -73,7 +73,8 @@ class _Reader:
     def preset(self, base: Preset) -> Preset:
         """Another preset's numbers replaced by those that the tensors show."""
         depth, widths = self._backbone(base.network)
-        neck, head = self._neck(base.network.neck), self._head(base.network.head)
+        neck = None if base.network.neck is None else self._neck(base.network.neck)
+        head = self._head(base.network.head)
         network = replace(base.network, backbone_depth=depth, backbone_widths=widths, neck=neck, head=head)
         return replace(base, network=network)
 
@@ -141,10 +142,11 @@ class _Reader:
     def check_anchors_and_classes(self, base: Preset) -> None:
         """Refuses other anchors, or another count of classes, than a preset's, where the last layers agree on them."""
         anchors = base.anchors.per_cell
-        found = self.channels("regression.3")
+        last_box = "regression.6" if base.network.head.deformable else "regression.3"
+        found = self.channels(last_box)
         if found not in (None, anchors * DELTA_COUNT):
             raise CheckpointError(
-                f"{self._checkpoint.path} has {found} channels in {self._last('regression.3')}, expected {DELTA_COUNT}"
+                f"{self._checkpoint.path} has {found} channels in {self._last(last_box)}, expected {DELTA_COUNT}"
                 f" for each of the {anchors} anchors of a cell; choose the --preset with the checkpoint's anchors"
             )
         logits = self.channels("classification.6")

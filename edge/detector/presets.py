@@ -3,7 +3,8 @@
 ``paper`` is the published network with the official code's settings. ``compact`` is the same family cut to 8 M
 parameters and 20 G multiply-adds: ResNet-18, half the disparities at stride 8, narrower fusion, a two-layer box
 branch; it looks at the band of the image around the road at a fixed focal length, so that any camera shows it a car
-of 4 m at 20 m in the same number of pixels.
+of 4 m at 20 m in the same number of pixels. ``mono`` is the official code's monocular sibling with its plain head: no
+right view, no neck, ResNet-101, cars alone, and angles that climb to fit the 2D box.
 """
 
 from __future__ import annotations
@@ -48,22 +49,26 @@ class NeckShape:
 
 @dataclass(frozen=True, slots=True)
 class HeadShape:
-    """Widths of the head; ``box_width`` None keeps the width of the features."""
+    """Widths of the head; ``box_width`` None keeps the width of the features.
+
+    ``deformable`` begins the box branch with a deformable convolution, the official code's plain monocular head.
+    """
 
     class_width: int = 256
     box_width: int | None = None
     final_kernel: int = 3
     dropout: float = 0.3
     initial_probability: float | None = None
+    deformable: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class NetworkShape:
-    """Shapes of all parts of the network."""
+    """Shapes of all parts of the network; without a neck it looks at the left view alone."""
 
     backbone_depth: int
     backbone_widths: tuple[int, int, int] = (64, 128, 256)
-    neck: NeckShape = field(default_factory=NeckShape)
+    neck: NeckShape | None = field(default_factory=NeckShape)
     head: HeadShape = field(default_factory=HeadShape)
 
 
@@ -76,6 +81,8 @@ class TrainingDefaults:
         frozen_backbone_parts: parts of the backbone, from the stem on, whose weights stay as loaded.
         ignore_neighbours: anchors on look-alike classes (Van, sitting person) and in DontCare regions teach nothing;
             the official code takes them as background.
+        low_quality_matches: every object claims the anchors of its largest overlap, however small that is.
+        alpha_from_yaw: alpha is computed from the box, as decoding undoes it; else the label's own is taught.
         claim_without_overlap: an object without any overlap claims every anchor without overlap (official flaw).
         learning_rate, batch_size, gradient_clip_norm: optimiser settings.
         schedule: of the learning rate, see `edge.training.schedule`.
@@ -95,6 +102,8 @@ class TrainingDefaults:
     gradient_clip_norm: float = 0.1
     frozen_backbone_parts: int = 0
     ignore_neighbours: bool = False
+    low_quality_matches: bool = True
+    alpha_from_yaw: bool = False
     claim_without_overlap: bool = False
     disparity_weight: float = 1.0
     z_weight: float = 12.0
@@ -121,6 +130,17 @@ class Preset:
     nms: NmsPolicy = field(default_factory=NmsPolicy)
     thresholds: Thresholds = field(default_factory=Thresholds)
     normalisation: Normalisation = field(default_factory=Normalisation)
+    hill_climbing: bool = False
+
+    @property
+    def views(self) -> Literal[1, 2]:
+        """Pictures a frame that the network looks at."""
+        return 1 if self.network.neck is None else 2
+
+    @property
+    def onnx_opset(self) -> int:
+        """Version of the standard operators that the network needs: DeformConv came with 19."""
+        return 19 if self.network.head.deformable else 18
 
     def manifest(self, *, input_type: str = "uint8") -> Manifest:
         """The manifest that a model of this preset starts from."""
@@ -129,13 +149,14 @@ class Preset:
             classes=self.classes,
             input_size_hw=self.input_size_hw,
             input_type=input_type,  # type: ignore[arg-type]
-            views=2,
+            views=self.views,
             crop=self.crop,
             normalisation=self.normalisation,
             anchors=self.anchors,
             nms=self.nms,
             thresholds=self.thresholds,
             rig=self.rig,
+            hill_climbing=self.hill_climbing,
         )
 
 
@@ -193,6 +214,21 @@ PRESETS: dict[str, Preset] = {
         anchors=AnchorLayout(base_px=14.0, scales_per_octave=3.0, scale_count=12),
         nms=NmsPolicy(iou=0.4),
         thresholds=Thresholds(evaluate=0.05, display=0.5),
+    ),
+    "mono": Preset(
+        name="mono",
+        classes=("Car",),
+        input_size_hw=(288, 1280),
+        crop=Crop("top_rows", 100),
+        rig=RigLimits(KITTI_FOCAL_PX * _PAPER_SCALE, KITTI_BASELINE_M),
+        network=NetworkShape(
+            backbone_depth=101, neck=None, head=HeadShape(class_width=512, box_width=1024, deformable=True)
+        ),
+        training=TrainingDefaults(class_weights=(20.0,), z_weight=3.0, low_quality_matches=False, alpha_from_yaw=True),
+        anchors=AnchorLayout(ratios=(0.5, 1.0)),
+        nms=NmsPolicy(iou=0.5),
+        thresholds=Thresholds(evaluate=0.75, display=0.75),
+        hill_climbing=True,
     ),
 }
 

@@ -11,9 +11,9 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import nn
 
+from edge.detector.build import Detector
 from edge.detector.checkpoint_file import Checkpoint, read_checkpoint
 from edge.detector.misfit import compare, shapes_of
-from edge.detector.network import StereoDetector
 from runtime.contracts.errors import CheckpointError
 from runtime.contracts.manifest import AnchorPriors
 
@@ -78,7 +78,7 @@ def priors_digest(tables: AnchorPriors, classes: tuple[str, ...]) -> str:
     return digest.hexdigest()
 
 
-def load_backbone(detector: StereoDetector, path: Path) -> None:
+def load_backbone(detector: Detector, path: Path) -> None:
     """Start the backbone from ImageNet weights with torchvision's names; later stages in the file are ignored.
 
     Raises:

@@ -133,7 +133,7 @@ def test_missed_parity_is_exit_1_with_the_numbers_and_writes_nothing(
     values = onnx.numpy_helper.to_array(weight).copy()
     values[0] *= 1.1
     weight.CopyFrom(onnx.numpy_helper.from_array(values, weight.name))
-    monkeypatch.setattr(export.to_onnx, "to_onnx", lambda *_: faulty)
+    monkeypatch.setattr(export.to_onnx, "to_onnx", lambda *_, **__: faulty)
     assert export_small(run_folder, tmp_path / "model", source) == 1
     last = capsys.readouterr().err.strip().splitlines()[-1]
     assert last.startswith("error: parity: found cls_logits: max|a-b|/max|a|") and "at most 0.0001" in last
