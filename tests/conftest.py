@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.util
 import shutil
+from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -24,6 +27,27 @@ def shared_dir() -> Path:
 def reference_dir(shared_dir: Path) -> Path:
     """Recorded numbers of the official code."""
     return shared_dir / "reference"
+
+
+@pytest.fixture(scope="session")
+def golden_dir() -> Path:
+    """Recorded numbers of the official code that are small enough to lie in the tree."""
+    return REPOSITORY / "tests" / "golden" / "official"
+
+
+@pytest.fixture(scope="session")
+def golden_module() -> Callable[[str], ModuleType]:
+    """Loads ``tests/golden/PATH``, a Python file that makes a recording's inputs."""
+
+    def load(path: str) -> ModuleType:
+        file = REPOSITORY / "tests" / "golden" / path
+        spec = importlib.util.spec_from_file_location(file.stem, file)
+        assert spec is not None and spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return module
+
+    return load
 
 
 @pytest.fixture(scope="session")

@@ -45,8 +45,8 @@ def test_filter_keeps_what_any_class_can_stand_on() -> None:
     np.testing.assert_array_equal(kept.all(axis=1), [False, False, True, False])
 
 
-def test_recorded_anchors(reference_dir: Path) -> None:
-    recorded = np.load(reference_dir / "anchors.npz")
+def test_recorded_anchors(golden_dir: Path) -> None:
+    recorded = np.load(golden_dir / "anchors.npz")
     layout = AnchorLayout()
     grid = anchor_grid(layout, (96, 320))
     np.testing.assert_allclose(grid.boxes, recorded["anchors_96x320"], atol=GRID_TOLERANCE_PX, rtol=0)
@@ -54,10 +54,10 @@ def test_recorded_anchors(reference_dir: Path) -> None:
     np.testing.assert_allclose(np.concatenate([-half, half], axis=1), recorded["base_anchors_48"], atol=1e-12, rtol=0)
 
 
-def test_recorded_filter(reference_dir: Path) -> None:
-    recorded = np.load(reference_dir / "anchors.npz")
+def test_recorded_filter(golden_dir: Path) -> None:
+    recorded = np.load(golden_dir / "anchors.npz")
     layout = AnchorLayout()
-    priors = read_priors(reference_dir / "priors.npz", ("Car", "Pedestrian"), layout)
+    priors = read_priors(golden_dir / "priors.npz", ("Car", "Pedestrian"), layout)
     small = recorded["P2_96x320"]
     full = small.copy()
     full[:2] *= 3

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -75,16 +75,13 @@ def test_absurd_regressions_stay_finite() -> None:
     assert np.isfinite(boxes).all()
 
 
-def test_recorded_detections(reference_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(reference_dir))
-    try:
-        import make_inputs
-    finally:
-        sys.modules.pop("make_inputs", None)
-    recorded = np.load(reference_dir / "decode_nms.npz")
+def test_recorded_detections(golden_dir: Path, golden_module: Callable[[str], ModuleType]) -> None:
+    recorded = np.load(golden_dir / "decode_nms.npz")
     manifest = paper_manifest((96, 320))
-    decoder = Decoder(manifest, read_priors(reference_dir / "priors.npz", manifest.classes, manifest.anchors))
-    outputs = make_inputs.head_predictions(11, 5760, 2, -3.6, 2.2, 5, 0.7)
+    decoder = Decoder(manifest, read_priors(golden_dir / "priors.npz", manifest.classes, manifest.anchors))
+    outputs = golden_module("official/recorded_inputs.py").head_outputs(
+        11, (1, 5760, 2), logits=(-3.6, 2.2), facing_shift=5, box_deviation=0.7
+    )
     valid = recorded["prior_valid"]
 
     candidates = decoder.candidates(*outputs, P2=recorded["P2"], score=0.75)

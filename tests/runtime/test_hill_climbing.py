@@ -90,8 +90,8 @@ def test_a_box_around_the_camera_stays_finite() -> None:
     assert np.isfinite(yaw_rad).all() and np.isfinite(iou).all()
 
 
-def test_recorded_climbs(reference_dir: Path) -> None:
-    facts = json.loads((reference_dir / "mono.json").read_text())["hill_climb"]
+def test_recorded_climbs(golden_dir: Path) -> None:
+    facts = json.loads((golden_dir / "hill_climb.json").read_text())
     assert (facts["step_init"], facts["step_limit"]) == (FIRST_STEP_RAD, LAST_STEP_RAD)
     assert len(facts["cases"]) == 24
     projection = np.array(facts["P2"])
@@ -107,13 +107,13 @@ def test_recorded_climbs(reference_dir: Path) -> None:
         assert any(same_angle(yaw_rad[0] - ray_rad + shift, recorded, ANGLE_RAD) for shift in off)
 
 
-def test_recorded_decoding_with_and_without_climbing(reference_dir: Path) -> None:
-    recorded = np.load(reference_dir / "mono_decode.npz")
+def test_recorded_decoding_with_and_without_climbing(golden_dir: Path) -> None:
+    recorded = np.load(golden_dir / "mono_decode.npz")
     generator = np.random.Generator(np.random.PCG64(71))  # head_predictions(71, 3840, 1, -3.2, 2.0, 3, 0.5)
     cls_logits = (-3.2 + 2.0 * generator.standard_normal((1, 3840, 2))).astype(np.float32)
     cls_logits[..., -1] += 3
     box_deltas = (0.5 * generator.standard_normal((1, 3840, 12))).astype(np.float32)
-    priors = read_priors(reference_dir / "mono_priors.npz", ("Car",), LAYOUT)
+    priors = read_priors(golden_dir / "mono_priors.npz", ("Car",), LAYOUT)
 
     def decode(*, hill_climbing: bool) -> np.ndarray:
         manifest = Manifest(

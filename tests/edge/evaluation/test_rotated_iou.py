@@ -53,8 +53,8 @@ def test_known_overlaps(other: tuple[float, ...], expected: float):
         assert rotated_iou(base + turn, moved)[0] == pytest.approx(expected, abs=EXACT_TOLERANCE)
 
 
-def test_recorded_exact_values(reference_dir: Path):
-    with np.load(reference_dir / "eval" / "rotated_iou.npz") as recorded:
+def test_recorded_exact_values(golden_dir: Path):
+    with np.load(golden_dir / "eval" / "rotated_iou.npz") as recorded:
         first, second = recorded["boxes_x_z_l_w_ry"], recorded["queries"]
         expected = recorded["iou_exact_shapely"]
     rows, columns = np.divmod(np.arange(expected.size), len(second))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -14,7 +14,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="the torch workbench is not installed")
 
 from edge.detector.network import StereoDetector  # noqa: E402
-from edge.detector.official import from_official  # noqa: E402
+from edge.detector.official import from_official, official_name  # noqa: E402
 from edge.detector.presets import Preset, preset  # noqa: E402
 from edge.training.assign import assign  # noqa: E402
 from edge.training.ground_truth import GroundTruth  # noqa: E402
@@ -39,30 +39,21 @@ STATISTIC_TOLERANCE = 1e-5  # relative to the largest
 NONE = np.zeros((0, 4), np.float32)
 
 
-def load_module(path: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 def official_settings() -> Preset:
     paper = preset("paper")
     network = replace(paper.network, head=replace(paper.network.head, dropout=0.0))
     return replace(paper, input_size_hw=SIZE_HW, network=network)
 
 
-def recorded_batch(reference_dir: Path, recorded: np.lib.npyio.NpzFile) -> Batch:
-    make_inputs = load_module(reference_dir / "make_inputs.py")
-    layout, priors = AnchorLayout(), read_priors(reference_dir / "priors.npz", ("Car", "Pedestrian"), AnchorLayout())
+def recorded_batch(golden_dir: Path, recorded: np.lib.npyio.NpzFile, recorded_case: ModuleType) -> Batch:
+    layout, priors = AnchorLayout(), read_priors(golden_dir / "priors.npz", ("Car", "Pedestrian"), AnchorLayout())
     grid = anchor_grid(layout, SIZE_HW)
     usable = usable_anchors(grid, layout, priors=priors, P2=recorded["P2"])
     targets, lefts, rights = [], [], []
     for seed, labels in zip((2000, 2001), recorded["annotations"], strict=True):
-        left, right, _ = make_inputs.pair_u8(*SIZE_HW, seed)
-        lefts.append(make_inputs.normalise(left))
-        rights.append(make_inputs.normalise(right))
+        left, right = recorded_case.image_pair(*SIZE_HW, seed)
+        lefts.append(recorded_case.normalised(left))
+        rights.append(recorded_case.normalised(right))
         rows = labels[labels[:, 4] >= 0]
         boxes = np.concatenate([rows[:, :4], rows[:, 5:8], rows[:, 8:12]], axis=1).astype(np.float32)
         truth = GroundTruth(boxes, rows[:, 4].astype(np.int64), NONE, NONE)
@@ -73,20 +64,20 @@ def recorded_batch(reference_dir: Path, recorded: np.lib.npyio.NpzFile) -> Batch
     return Batch(*images, torch.from_numpy(recorded["disparity_gt"]), targets)
 
 
-@pytest.mark.filterwarnings("ignore::ResourceWarning")  # the recordings' own script leaves a file to the collector
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-def test_three_steps_equal_the_recording(reference_dir: Path) -> None:
-    recorded = np.load(reference_dir / "train_step.npz")
-    facts = json.loads((reference_dir / "train_step.json").read_text())
-    state = load_module(reference_dir / "make_state_dict.py").make(str(reference_dir / "state_dict_names.json"), 0)
+def test_three_steps_equal_the_recording(golden_dir: Path, golden_module: Callable[[str], ModuleType]) -> None:
+    recorded_case = golden_module("network/recorded_case.py")
+    recorded = np.load(golden_dir / "train_step.npz")
+    facts = json.loads((golden_dir / "train_step.json").read_text())
     chosen = official_settings()
     detector = StereoDetector(chosen).train()
+    shapes = {official_name(name): tuple(value.shape) for name, value in detector.state_dict().items()}
+    state = recorded_case.state_dict(shapes)
     detector.load_state_dict(from_official({name: torch.from_numpy(np.array(value)) for name, value in state.items()}))
     parameters = dict(detector.named_parameters())
     assert all(parameter.requires_grad for parameter in parameters.values())
     optimiser = torch.optim.Adam(parameters.values(), lr=chosen.training.learning_rate)
     settings = RunSettings(3, 2, 1e-4, 5e-6, mixed_precision=False)
-    batch = recorded_batch(reference_dir, recorded)
+    batch = recorded_batch(golden_dir, recorded, recorded_case)
     start = {ours(name): torch.from_numpy(np.array(value)) for name, value in state.items()}
     for step, expected in enumerate(facts["steps"]):
         losses = train_step(detector, chosen, batch, optimiser=optimiser, settings=settings)

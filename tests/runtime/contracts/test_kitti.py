@@ -106,8 +106,8 @@ def test_calibration_round_trip_and_refusals() -> None:
         parse_calib(f"P2: 1 2 3\nP3: {row}", (4, 4))
 
 
-def test_official_result_file(reference_dir: Path) -> None:
-    facts = json.loads((reference_dir / "data_pipeline.json").read_text())["result_writer"]
+def test_official_result_file(golden_dir: Path) -> None:
+    facts = json.loads((golden_dir / "data_pipeline.json").read_text())["result_writer"]
     boxes = np.array(facts["boxes"], np.float32)
     scores = np.array(facts["scores"])
     order = np.argsort(-scores)

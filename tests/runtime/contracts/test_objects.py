@@ -118,8 +118,8 @@ def test_frames_refuse_what_is_no_pair() -> None:
         StereoFrame(image.astype(np.float32), None, 0.0, 0, "a", geometry)  # type: ignore[arg-type]
 
 
-def test_recorded_corners(reference_dir: Path) -> None:
-    recorded = np.load(reference_dir / "data_pipeline.npz")
+def test_recorded_corners(golden_dir: Path) -> None:
+    recorded = np.load(golden_dir / "data_pipeline.npz")
     state = recorded["proj_xyz_state"]
     ours = box_corners(state[:, :3], state[:, [4, 3, 5]], recorded["proj_theta"])
     np.testing.assert_allclose(ours, recorded["proj_corners"], atol=CORNER_TOLERANCE_M)
