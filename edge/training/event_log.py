@@ -25,7 +25,8 @@ class EventLog:
             from tensorboardX import SummaryWriter
 
             purge = {"purge_step": first_step + 1} if first_step else {}
-            self._writer = SummaryWriter(str(run_dir / EVENTS_FOLDER), **purge)
+            suffix = f".{first_step}"  # names have whole seconds: a run resumed at once would overwrite its own file
+            self._writer = SummaryWriter(str(run_dir / EVENTS_FOLDER), filename_suffix=suffix, **purge)
 
     def __enter__(self) -> Self:
         """Returns itself."""

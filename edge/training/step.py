@@ -56,7 +56,7 @@ def train_step(
     network = training_pass(detector, ranks, device) if forward is None else forward
     with torch.autocast(device.type, dtype=torch.bfloat16, enabled=settings.mixed_precision):
         logits, deltas, disparity = network(batch.left, batch.right)
-    logits, deltas, disparity = logits.float(), deltas.float(), disparity.float()
+    logits, deltas = logits.float(), deltas.float()
     weights = logits.new_tensor(preset.training.class_weights)
     own = {"objects": SHARE_OFFSET + sum(float(target.object_count) for target in batch.targets)}
     joint = joint_sum(own, ranks, device)
@@ -65,7 +65,7 @@ def train_step(
     boxes = box_loss(logits[..., -1], deltas, batch.targets, z_weight=preset.training.z_weight)
     if ranks.count > 1:
         boxes = boxes * share_of_denominator(own["objects"], joint["objects"], ranks)
-    disparities = disparity_loss(disparity, batch.disparity)
+    disparities = deltas.new_zeros(()) if disparity is None else disparity_loss(disparity.float(), batch.disparity)
     losses = _joint_means(
         {"class_loss": classes, "box_loss": boxes, "disparity_loss": disparities}, ranks=ranks, device=device
     )
@@ -80,7 +80,7 @@ def train_step(
     if losses["class_loss"] == 0 and not teaches_disparity:
         optimiser.zero_grad(set_to_none=True)
         return losses | {"gradient_norm": 0.0}
-    if not teaches_disparity:
+    if not teaches_disparity and disparity is not None:
         for parameter in detector.disparity_branch.parameters():  # type: ignore[union-attr, operator]
             parameter.grad = None
     parameters = [p for group in optimiser.param_groups for p in group["params"]]

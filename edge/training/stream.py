@@ -23,11 +23,11 @@ from runtime.sources.base import FrameSequence
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """A batch on its way to the device."""
+    """A batch on its way to the device; a mono preset's has neither right views nor disparities."""
 
     left: torch.Tensor
-    right: torch.Tensor
-    disparity: torch.Tensor
+    right: torch.Tensor | None
+    disparity: torch.Tensor | None
     targets: list[ImageTargets]
 
     def to(self, device: torch.device) -> Batch:
@@ -42,8 +42,12 @@ class Batch:
             )
             for t in self.targets
         ]
-        images = [x.to(device, memory_format=torch.channels_last, non_blocking=True) for x in (self.left, self.right)]
-        return Batch(images[0], images[1], self.disparity.to(device), move)
+        left, right = (
+            None if x is None else x.to(device, memory_format=torch.channels_last, non_blocking=True)
+            for x in (self.left, self.right)
+        )
+        assert left is not None
+        return Batch(left, right, None if self.disparity is None else self.disparity.to(device), move)
 
 
 class MixedFrames(Dataset[Sample]):
@@ -129,6 +133,7 @@ def batches(
         collate_fn=collate,
         worker_init_fn=_single_threaded,
         prefetch_factor=4 if workers else None,
+        generator=torch.Generator(),  # else each start of the loader draws from the generator that dropout uses
     )
 
 
@@ -144,8 +149,11 @@ def collate(samples: list[Sample]) -> Batch:  # type: ignore[type-arg]
         )
         for s in samples
     ]
-    stack = [torch.from_numpy(np.stack([getattr(s, name) for s in samples])) for name in ("left", "right", "disparity")]
-    return Batch(stack[0], stack[1], stack[2], targets)
+    stacked = {}
+    for name in ("left", "right", "disparity"):
+        arrays = [getattr(sample, name) for sample in samples]
+        stacked[name] = None if arrays[0] is None else torch.from_numpy(np.stack(arrays))
+    return Batch(**stacked, targets=targets)  # type: ignore[arg-type]
 
 
 def _single_threaded(_: int) -> None:

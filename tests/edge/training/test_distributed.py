@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -23,14 +23,6 @@ WORKER = Path(__file__).with_name("two_process_worker.py")
 REPOSITORY = Path(__file__).resolve().parents[3]
 TOLERANCE = 1e-5  # sums of float32 in another order; of the largest value of its kind and step
 SECONDS = 120
-
-
-@pytest.fixture(autouse=True)
-def _one_thread():  # type: ignore[no-untyped-def]
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 def test_alone_without_torchrun(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -53,15 +45,12 @@ def test_processes_share_each_step_and_nothing_twice() -> None:
 
 
 @pytest.mark.slow
-def test_two_processes_equal_one_with_the_joint_batch(tmp_path: Path) -> None:
-    spec = importlib.util.spec_from_file_location("two_process_worker", WORKER)
-    assert spec is not None and spec.loader is not None
-    worker = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(worker)
+@pytest.mark.usefixtures("one_thread")
+def test_two_processes_equal_one_with_the_joint_batch(toy: ModuleType, tmp_path: Path) -> None:
     alone, together = tmp_path / "alone", tmp_path / "together"
     for folder in (alone, together):
         folder.mkdir()
-    worker.run(alone)
+    toy.run(alone)
     launch = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", str(WORKER), str(together)]
     environment = os.environ | {"PYTHONPATH": str(REPOSITORY), "OMP_NUM_THREADS": "1"}
     ran = subprocess.run(
@@ -73,7 +62,7 @@ def test_two_processes_equal_one_with_the_joint_batch(tmp_path: Path) -> None:
         found = np.load(together / f"result-{rank}-of-2.npz")
         assert set(found.files) == set(expected.files)
         for kind in ("loss", "gradient", "parameter"):
-            for step in range(1, worker.STEPS + 1):
+            for step in range(1, toy.STEPS + 1):
                 names = [name for name in expected.files if name.startswith(f"{kind}/{step}/")]
                 assert names
                 largest = max(np.abs(expected[name]).max() for name in names)
@@ -89,4 +78,4 @@ def test_two_processes_equal_one_with_the_joint_batch(tmp_path: Path) -> None:
     # the first process alone writes
     written = sorted(path.name for path in together.iterdir())
     assert written == ["checkpoint.pt", "events", "log.csv", "result-0-of-2.npz", "result-1-of-2.npz"]
-    assert (together / "log.csv").read_text().count("\n") == 1 + worker.STEPS
+    assert (together / "log.csv").read_text().count("\n") == 1 + toy.STEPS
