@@ -58,8 +58,8 @@ def anchor_grid(layout: AnchorLayout, size_hw: tuple[int, int]) -> AnchorGrid:
     )
 
 
-def usable_anchors(grid: AnchorGrid, layout: AnchorLayout, *, priors: AnchorPriors, P2: FloatArray) -> BoolArray:
-    """Anchors whose centre lies near the ground plane at the mean depth of any class.
+def usable_by_class(grid: AnchorGrid, layout: AnchorLayout, *, priors: AnchorPriors, P2: FloatArray) -> BoolArray:
+    """Anchors whose centre lies near the ground plane at the mean depth of each class.
 
     As the official code does it: both axes use fy, the translation column of P2 is left out, and unusable prior
     cells (z = -100) take part; they drop out where the prior itself is needed.
@@ -71,13 +71,18 @@ def usable_anchors(grid: AnchorGrid, layout: AnchorLayout, *, priors: AnchorPrio
         P2: (3, 4) of the network image.
 
     Returns:
-        (N,) bool.
+        (classes, N) bool.
     """
     mean, _ = priors.by_anchor()
     depth_m = mean[:, :, 0].astype(np.float64)[:, grid.shape_index]
     focal, column, row = P2[1, 1], P2[0, 2], P2[1, 2]
     x_m = (grid.center_xy[:, 0] - column) * depth_m / focal
     y_m = (grid.center_xy[:, 1] - row) * depth_m / focal
-    near_ground = (y_m > layout.min_y_m) & (y_m < layout.max_y_m) & (np.abs(x_m) < layout.max_abs_x_m)
-    usable: BoolArray = near_ground.any(axis=0)
+    near_ground: BoolArray = (y_m > layout.min_y_m) & (y_m < layout.max_y_m) & (np.abs(x_m) < layout.max_abs_x_m)
+    return near_ground
+
+
+def usable_anchors(grid: AnchorGrid, layout: AnchorLayout, *, priors: AnchorPriors, P2: FloatArray) -> BoolArray:
+    """(N,) bool: anchors that `usable_by_class` keeps for any class."""
+    usable: BoolArray = np.asarray(usable_by_class(grid, layout, priors=priors, P2=P2).any(axis=0))
     return usable

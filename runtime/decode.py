@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.anchors import BoolArray, anchor_grid, usable_anchors
+from runtime.anchors import BoolArray, anchor_grid, usable_by_class
 from runtime.boxcode import (
     ALPHA,
     CX,
@@ -65,18 +65,24 @@ class Decoder:
         self._usable: dict[bytes, BoolArray] = {}
 
     def usable(self, P2: FloatArray) -> BoolArray:
-        """(N,) bool: anchors near the ground plane for this projection of the network image."""
+        """(N,) bool: anchors near the ground plane, for any class, for this projection of the network image."""
+        usable: BoolArray = np.asarray(self._by_class(P2).any(axis=0))
+        return usable
+
+    def _by_class(self, P2: FloatArray) -> BoolArray:
         key = P2.tobytes()
         if key not in self._usable:
             if len(self._usable) >= 8:  # a stream has one camera; folders of many drives have a handful
                 self._usable.clear()
-            self._usable[key] = usable_anchors(self._grid, self._manifest.anchors, priors=self._priors, P2=P2)
+            self._usable[key] = usable_by_class(self._grid, self._manifest.anchors, priors=self._priors, P2=P2)
         return self._usable[key]
 
     def candidates(
         self, cls_logits: FloatArray32, box_deltas: FloatArray32, *, P2: FloatArray, score: float
     ) -> NetworkBoxes:
         """Decoded boxes above ``score`` whose class has a prior, before NMS, in anchor order.
+
+        With ``filter_by_class`` also those whose class does not pass the ground-plane test are dropped.
 
         Args:
             cls_logits: (1, N, classes + 1), the last is the facing logit.
@@ -90,6 +96,8 @@ class Decoder:
         label = logits[passed].argmax(axis=1)
         shape = self._grid.shape_index[passed]
         has_prior = self._mean[label, shape, 0] > 0
+        if self._manifest.anchors.filter_by_class:
+            has_prior &= self._by_class(P2)[label, passed]
         passed, label, shape = passed[has_prior], label[has_prior], shape[has_prior]
         boxes = decode_boxes(
             box_deltas[0, passed],

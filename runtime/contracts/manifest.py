@@ -68,6 +68,8 @@ class AnchorLayout:
         ratios: height over width.
         max_abs_x_m, min_y_m, max_y_m: the ground-plane filter: an anchor stays when, at the mean depth of any class,
             its centre lies within |X| < max_abs_x_m and min_y_m < Y < max_y_m (paper, anchor filtering).
+        filter_by_class: the filter asks the class that an anchor is assigned to, or predicts (the paper's rule); else
+            any class that passes keeps the anchor for all (the official code's).
     """
 
     stride_px: int = 16
@@ -78,6 +80,7 @@ class AnchorLayout:
     max_abs_x_m: float = 40.0
     min_y_m: float = -0.5
     max_y_m: float = 1.8
+    filter_by_class: bool = False
 
     @property
     def per_cell(self) -> int:

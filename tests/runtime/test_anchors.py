@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from runtime.anchors import anchor_grid, anchor_shapes, usable_anchors
+from runtime.anchors import anchor_grid, anchor_shapes, usable_anchors, usable_by_class
 from runtime.contracts.manifest import AnchorLayout, AnchorPriors, read_priors
 
 GRID_TOLERANCE_PX = 1e-12  # the recording is the same float32 arithmetic
@@ -43,6 +43,19 @@ def test_filter_keeps_what_any_class_can_stand_on() -> None:
     kept = usable_anchors(grid, layout, priors=priors, P2=P2).reshape(4, 2)
     # rows 8, 24, 40, 56: Y at 10 m = -2.4, -0.8, 0.8, 2.4; at the unusable -100 m = 24, 8, -8, -24
     np.testing.assert_array_equal(kept.all(axis=1), [False, False, True, False])
+
+
+def test_filter_tells_the_classes_apart() -> None:
+    layout = AnchorLayout(base_px=16, scales_per_octave=1, scale_count=1, ratios=(1.0,))
+    grid = anchor_grid(layout, (64, 32))
+    mean = np.zeros((2, 1, 1, 6), np.float32)
+    mean[:, 0, 0, 0] = [10.0, 2.0]
+    P2 = np.array([[100.0, 0, 16, 0], [0, 100, 32, 0], [0, 0, 1, 0]])
+    priors = AnchorPriors(mean, np.ones_like(mean))
+    kept = usable_by_class(grid, layout, priors=priors, P2=P2).reshape(2, 4, 2)
+    # rows 8, 24, 40, 56: Y at 10 m = -2.4, -0.8, 0.8, 2.4; at 2 m = -0.48, -0.16, 0.16, 0.48
+    np.testing.assert_array_equal(kept.all(axis=2), [[False, False, True, False], [True] * 4])
+    np.testing.assert_array_equal(usable_anchors(grid, layout, priors=priors, P2=P2), kept.any(axis=0).ravel())
 
 
 def test_recorded_anchors(golden_dir: Path) -> None:

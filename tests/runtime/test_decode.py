@@ -113,6 +113,22 @@ def test_boxes_without_prior_are_dropped() -> None:
     assert list(found.class_id) == [0] and list(found.anchor_index) == [usable[1]]
 
 
+def test_boxes_off_the_ground_of_their_class_are_dropped_only_by_option() -> None:
+    layout = AnchorLayout(filter_by_class=True)
+    manifest = replace(paper_manifest((32, 64)), anchors=layout)
+    priors = plain_priors(layout)
+    priors.mean[0, ..., 0] = 200.0  # 8 rows off the horizon are 2.3 m there, 0.23 m for the second class
+    logits = np.full((1, 2 * 4 * 48, 3), -20, np.float32)
+    logits[0, :2] = [[5, -20, 1], [-20, 5, 1]]
+    deltas = np.zeros((1, 2 * 4 * 48, 12), np.float32)
+    centred = np.array([[700.0, 0, 32, 0], [0, 700, 16, 0], [0, 0, 1, 0]])
+    found = Decoder(manifest, priors).candidates(logits, deltas, P2=centred, score=0.5)
+    assert list(found.class_id) == [1] and list(found.anchor_index) == [1]
+    any_class = replace(manifest, anchors=replace(layout, filter_by_class=False))
+    found = Decoder(any_class, priors).candidates(logits, deltas, P2=centred, score=0.5)
+    assert list(found.class_id) == [0, 1]
+
+
 def test_camera_frame_round_trip() -> None:
     geometry = StereoGeometry(P2, P3, (1242, 375))
     view = NetworkView(
