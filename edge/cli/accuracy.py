@@ -24,6 +24,10 @@ def accuracy_command(
     source: Annotated[str, typer.Option(help="Frames to measure on, for example kitti-object:ROOT?split=val.")],
     out: Annotated[Path | None, typer.Option(help="New folder for report, pictures and detections.")] = None,
     json: Annotated[Path | None, typer.Option(help="Write the figures to this file.")] = None,
+    results: Annotated[
+        Path | None,
+        typer.Option(help="New folder for KITTI's test server: a text file a frame, and results.zip; one model."),
+    ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Write into a folder that holds files.")] = False,
     allow_other_rig: Annotated[
         bool, typer.Option("--allow-other-rig", help="Accept a camera far from those of the training data.")
@@ -32,10 +36,12 @@ def accuracy_command(
     """AP of each model, what the others lose against the first, and how far they agree with it."""
     from edge.evaluation.measure import assess, measurement
     from edge.evaluation.run import run_model
+    from edge.evaluation.submission import check_frame_names, write_submission
     from edge.report.document import NO_LABELS, report_tables
     from edge.report.files import write_json
     from edge.report.records import accuracy_record
     from edge.report.terminal import progress_bar, report_console, show_table
+    from runtime.contracts.errors import OutputError
     from runtime.contracts.manifest import open_model_directory
     from runtime.sinks.places import claim_folder
     from runtime.sources.base import as_sequence
@@ -43,10 +49,15 @@ def accuracy_command(
 
     for path in models:
         open_model_directory(path)  # a wrong one is said before the first has run for minutes
-    if out is not None:
-        claim_folder(out, overwrite=overwrite)
+    if results is not None and len(models) > 1:
+        raise OutputError(f"--results with {len(models)} models, expected one; leave the others out")
+    for folder in (out, results):
+        if folder is not None:
+            claim_folder(folder, overwrite=overwrite)
     with open_source(source) as opened:
         frames = as_sequence(opened)
+        if results is not None:  # before the model runs for minutes
+            check_frame_names([frames.frame_id(index) for index in range(len(frames))])
         assessments: list[Assessment] = []
         for path in models:
             with progress_bar(f"{path}", len(frames)) as step:
@@ -55,6 +66,8 @@ def accuracy_command(
         records = [measurement(item, assessments[0] if index else None) for index, item in enumerate(assessments)]
         if json is not None:
             write_json(json, accuracy_record(records))
+        if results is not None:
+            write_submission(results, assessments[0].run.frame_ids, assessments[0].run.detections)
         if out is not None:
             _write_folder(out, source, frames, assessments=assessments, records=records)
 
@@ -67,6 +80,8 @@ def accuracy_command(
         show_table(console, table)
     if out is not None:
         console.print(f"Report, pictures and detections are in {out}.", soft_wrap=True)
+    if results is not None:
+        console.print(f"Results for the test server are in {results}.", soft_wrap=True)
 
 
 def _warn(text: str) -> None:
