@@ -34,7 +34,13 @@ class PresetError(EdgeError):
 
 @dataclass(frozen=True, slots=True)
 class NeckShape:
-    """Widths of the stereo neck. Disparities are in cells of their scale."""
+    """Widths of the stereo neck. Disparities are in cells of their scale.
+
+    Attributes:
+        expansion: how a volume's channels grow before it is fused: ``ghost`` (paper, section III-B2), ``naive`` (a 1x1
+            convolution) or ``none`` (a basic block; nothing grows, and the widths below do not count).
+        scale_8, scale_16: whether the volumes at strides 8 and 16 are there.
+    """
 
     disparities_at_4: int = 24
     disparities_at_8: int = 24
@@ -45,6 +51,18 @@ class NeckShape:
     out_channels: int = 1152
     disparity_widths: tuple[int, int] = (576, 288)
     disparity_classes: int = 96
+    expansion: Literal["ghost", "naive", "none"] = "ghost"
+    scale_8: bool = True
+    scale_16: bool = True
+
+    @property
+    def widths(self) -> tuple[int, int, int]:
+        """Channels after the fusing blocks of strides 4, 8 and 16; the last are the stereo features'."""
+        if self.expansion != "none":
+            return self.width_at_8, self.width_at_16, self.out_channels
+        first = self.disparities_at_4
+        second = first + self.disparities_at_8 * self.scale_8
+        return first, second, second + self.concat_features * self.concat_shifts * self.scale_16
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +105,16 @@ class TrainingDefaults:
         learning_rate, batch_size, gradient_clip_norm: optimiser settings.
         schedule: of the learning rate, see `edge.training.schedule`.
         epochs: length of a run unless told otherwise, 50 as in the paper (official code: 80); None for 10,000 steps.
+        dead_zones: class terms below 1e-5 and box differences up to 0.01 count as zero (official; not in the paper).
+        empty_images_teach: background of an image without objects enters the class loss; the official code skips it.
+        disparity_source: what supervises disparity: block matching of the pair (paper), the lidar's ``points`` where
+            the data set has them, or ``none`` (the paper's ablation).
+        disparity_focal: coefficient of the stereo focal loss: 0 is plain cross-entropy (official); 5 is that of the
+            work which the paper takes the loss from.
+        disparity_valid_only: average over matched pixels (paper); else over all (official).
+        mirrored_disparity: of mirrored pairs: ``matched`` on the mirrored pair itself, or ``official``, the flipped map
+            of the unmirrored left view, which is wrong.
+        matching_grey: ``plain`` luminance, or the ``official`` one with red and blue exchanged.
         disparity_weight, z_weight: of the disparity loss and of the depth term.
         photometric_first: colour changes before crop and resize (official) or after (the same draws on fewer pixels).
         matching_disparities, matching_block: of the block matcher that supervises disparity, network pixels.
@@ -105,6 +133,13 @@ class TrainingDefaults:
     low_quality_matches: bool = True
     alpha_from_yaw: bool = False
     claim_without_overlap: bool = False
+    dead_zones: bool = True
+    empty_images_teach: bool = False
+    disparity_source: Literal["none", "block_matching", "points"] = "block_matching"
+    disparity_focal: float = 0.0
+    disparity_valid_only: bool = False
+    mirrored_disparity: Literal["matched", "official"] = "matched"
+    matching_grey: Literal["plain", "official"] = "plain"
     disparity_weight: float = 1.0
     z_weight: float = 12.0
     photometric_first: bool = True

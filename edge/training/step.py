@@ -7,7 +7,7 @@ from torch import nn
 
 from edge.detector.presets import Preset
 from edge.training.distributed import ALONE, Ranks, joint_sum, share_of_denominator, training_pass
-from edge.training.losses import box_loss, class_loss, disparity_loss
+from edge.training.losses import box_loss, class_loss, disparity_loss, valid_pixels
 from edge.training.run_record import RunSettings
 from edge.training.stream import Batch
 
@@ -58,21 +58,39 @@ def train_step(
         logits, deltas, disparity = network(batch.left, batch.right)
     logits, deltas = logits.float(), deltas.float()
     weights = logits.new_tensor(preset.training.class_weights)
+    training = preset.training
     own = {"objects": SHARE_OFFSET + sum(float(target.object_count) for target in batch.targets)}
+    if disparity is not None and batch.disparity is not None:
+        own["matched"] = valid_pixels(batch.disparity, disparity.shape[1])
     joint = joint_sum(own, ranks, device)
     joint["objects"] -= (ranks.count - 1) * SHARE_OFFSET
-    classes = class_loss(logits[..., :-1], batch.targets, weights)
-    boxes = box_loss(logits[..., -1], deltas, batch.targets, z_weight=preset.training.z_weight)
+    classes = class_loss(
+        logits[..., :-1],
+        batch.targets,
+        weights,
+        dead_zone=training.dead_zones,
+        empty_images_teach=training.empty_images_teach,
+    )
+    boxes = box_loss(logits[..., -1], deltas, batch.targets, z_weight=training.z_weight, dead_zone=training.dead_zones)
     if ranks.count > 1:
         boxes = boxes * share_of_denominator(own["objects"], joint["objects"], ranks)
-    disparities = deltas.new_zeros(()) if disparity is None else disparity_loss(disparity.float(), batch.disparity)
+    disparities = deltas.new_zeros(())
+    if disparity is not None and batch.disparity is not None:
+        disparities = disparity_loss(
+            disparity.float(),
+            batch.disparity,
+            focal_coefficient=training.disparity_focal,
+            valid_only=training.disparity_valid_only,
+        )
+        if training.disparity_valid_only and ranks.count > 1:
+            disparities = disparities * share_of_denominator(own["matched"], max(joint["matched"], 1.0), ranks)
     losses = _joint_means(
         {"class_loss": classes, "box_loss": boxes, "disparity_loss": disparities}, ranks=ranks, device=device
     )
     total = classes + boxes
     teaches_disparity = losses["box_loss"] != 0  # official: an object-free batch does not teach disparity
     if teaches_disparity:
-        total = total + preset.training.disparity_weight * disparities
+        total = total + training.disparity_weight * disparities
     elif ranks.count > 1:
         total = total + 0.0 * disparities  # the other processes wait for each parameter's gradient
     optimiser.zero_grad(set_to_none=True)
@@ -84,7 +102,7 @@ def train_step(
         for parameter in detector.disparity_branch.parameters():  # type: ignore[union-attr, operator]
             parameter.grad = None
     parameters = [p for group in optimiser.param_groups for p in group["params"]]
-    norm = torch.nn.utils.clip_grad_norm_(parameters, preset.training.gradient_clip_norm)
+    norm = torch.nn.utils.clip_grad_norm_(parameters, training.gradient_clip_norm)
     optimiser.step()
     return losses | {"gradient_norm": float(norm)}
 
