@@ -59,7 +59,7 @@ def anchor_grid(layout: AnchorLayout, size_hw: tuple[int, int]) -> AnchorGrid:
 
 
 def usable_by_class(grid: AnchorGrid, layout: AnchorLayout, *, priors: AnchorPriors, P2: FloatArray) -> BoolArray:
-    """Anchors whose centre lies near the ground plane at the mean depth of each class.
+    """Anchors whose centre lies near the ground plane at the mean depth of each class; all where the layout asks so.
 
     As the official code does it: both axes use fy, the translation column of P2 is left out, and unusable prior
     cells (z = -100) take part; they drop out where the prior itself is needed.
@@ -74,6 +74,8 @@ def usable_by_class(grid: AnchorGrid, layout: AnchorLayout, *, priors: AnchorPri
         (classes, N) bool.
     """
     mean, _ = priors.by_anchor()
+    if not layout.filter_by_ground:
+        return np.ones((len(mean), len(grid.boxes)), bool)
     depth_m = mean[:, :, 0].astype(np.float64)[:, grid.shape_index]
     focal, column, row = P2[1, 1], P2[0, 2], P2[1, 2]
     x_m = (grid.center_xy[:, 0] - column) * depth_m / focal

@@ -80,7 +80,7 @@ class Bottleneck(nn.Module):
 
 
 class GhostExpansion(nn.Module):
-    """Triples the channels of a cost volume cheaply (paper, section III-A, densely connected ghost module).
+    """Triples the channels of a cost volume cheaply (paper, section III-B2, densely connected ghost module).
 
     ``[x, x1, x2]`` with x1 a 3x3 convolution of x and x2 a depthwise 3x3 convolution of x1; no biases.
     """

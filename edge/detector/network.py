@@ -26,9 +26,9 @@ class StereoDetector(nn.Module):
         shape = preset.network
         self.backbone = ResNetBackbone(shape.backbone_depth, shape.backbone_widths)
         self.neck = StereoNeck(self.backbone.out_channels, shape.neck)
-        self.disparity_branch = DisparityBranch(shape.neck.out_channels, shape.neck)
+        self.disparity_branch = DisparityBranch(shape.neck.widths[2], shape.neck)
         self.head = AnchorHead(
-            self.backbone.out_channels[2] + shape.neck.out_channels,
+            self.backbone.out_channels[2] + shape.neck.widths[2],
             preset.anchors.per_cell,
             len(preset.classes),
             shape.head,

@@ -70,6 +70,9 @@ class AnchorLayout:
             its centre lies within |X| < max_abs_x_m and min_y_m < Y < max_y_m (paper, anchor filtering).
         filter_by_class: the filter asks the class that an anchor is assigned to, or predicts (the paper's rule); else
             any class that passes keeps the anchor for all (the official code's).
+        filter_by_ground: False keeps every anchor (ablation).
+        depth_by_prior: z = mean + std t with the statistics of the anchor's shape; False: z = 1 / sigmoid(t) - 1 = e^-t
+            metres, without them (ablation).
     """
 
     stride_px: int = 16
@@ -81,6 +84,8 @@ class AnchorLayout:
     min_y_m: float = -0.5
     max_y_m: float = 1.8
     filter_by_class: bool = False
+    filter_by_ground: bool = True
+    depth_by_prior: bool = True
 
     @property
     def per_cell(self) -> int:
