@@ -27,6 +27,18 @@ MAX_LOG_GROWTH: Final = 9.0
 X1, Y1, X2, Y2, CX, CY, Z, WIDTH, HEIGHT, LENGTH, ALPHA = range(11)
 
 
+def rounded_exp(x: FloatArray32) -> FloatArray32:
+    """Exponential of float32, rounded once: the same bits on every processor, and the official code's."""
+    result: FloatArray32 = np.exp(x.astype(np.float64)).astype(np.float32)
+    return result
+
+
+def rounded_arctan2(y: FloatArray32, x: FloatArray32) -> FloatArray32:
+    """As `rounded_exp`, the angle of (x, y)."""
+    result: FloatArray32 = np.arctan2(y.astype(np.float64), x.astype(np.float64)).astype(np.float32)
+    return result
+
+
 def decode_boxes(
     deltas: FloatArray32,
     *,
@@ -49,12 +61,11 @@ def decode_boxes(
     """
     center = anchor_center_xy + np.float32(CENTER_FACTOR) * deltas[:, 0:2] * anchor_size_wh
     growth = np.minimum(np.float32(SIZE_FACTOR) * deltas[:, 2:4], np.float32(MAX_LOG_GROWTH))
-    half = np.float32(0.5) * anchor_size_wh * np.exp(growth)
+    half = np.float32(0.5) * anchor_size_wh * rounded_exp(growth)
     projected = anchor_center_xy + np.float32(CENTER_FACTOR) * deltas[:, 4:6] * anchor_size_wh
     scaled = prior_mean + prior_std * deltas[:, 6:12]
-    alpha = np.arctan2(scaled[:, 1], scaled[:, 2]) / np.float32(2) + np.where(
-        facing_away, np.float32(np.pi), np.float32(0)
-    )
+    alpha = rounded_arctan2(scaled[:, 1], scaled[:, 2]) / np.float32(2)
+    alpha += np.where(facing_away, np.float32(np.pi), np.float32(0))
     return np.concatenate(
         [center - half, center + half, projected, scaled[:, 0:1], scaled[:, 3:6], alpha[:, None]], axis=1
     ).astype(np.float32)

@@ -28,6 +28,8 @@ from runtime.boxcode import (
     FloatArray32,
     Z,
     decode_boxes,
+    rounded_arctan2,
+    rounded_exp,
 )
 from runtime.contracts.geometry import FloatArray
 from runtime.contracts.manifest import AnchorPriors, Manifest
@@ -111,7 +113,7 @@ class Decoder:
         boxes[:, X1 : Y1 + 1] = np.maximum(boxes[:, X1 : Y1 + 1], 0)
         boxes[:, X2] = np.minimum(boxes[:, X2], width)
         boxes[:, Y2] = np.minimum(boxes[:, Y2], height)
-        probability = 1 / (1 + np.exp(-best[passed]))
+        probability = 1 / (1 + rounded_exp(-best[passed]))
         return NetworkBoxes(boxes, probability.astype(np.float32), label, passed)
 
     def decode_in_network(
@@ -170,7 +172,7 @@ def to_detections(
     with np.errstate(all="ignore"):  # what overflows is dropped
         x = (boxes[:, CX] * z - P2[0, 2] * z - P2[0, 3]) / P2[0, 0]
         y = (boxes[:, CY] * z - P2[1, 2] * z - P2[1, 3]) / P2[1, 1]
-        yaw = boxes[:, ALPHA] + np.arctan2(x + P2[0, 3] / P2[0, 0], z)
+        yaw = boxes[:, ALPHA] + rounded_arctan2(x + P2[0, 3] / P2[0, 0], z)
     real &= np.isfinite(x) & np.isfinite(y)
     alpha = boxes[real, ALPHA].astype(np.float64)
     yaw = yaw[real].astype(np.float64)

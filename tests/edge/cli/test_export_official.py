@@ -35,7 +35,7 @@ OF_THE_LARGEST = 2e-4  # max|a - b| / max|a| of an output
 PIXEL_TOLERANCE, METRIC_TOLERANCE, SCORE_TOLERANCE = 1e-2, 1e-3, 1e-4  # of boxes of two float32 networks
 PAPER = preset("paper")
 NARROW = NetworkShape(
-    backbone_depth=50,
+    backbone_depth=18,
     backbone_widths=(4, 6, 8),
     neck=NeckShape(6, 5, 4, 3, 10, 14, 18, (9, 7), 16),
     head=HeadShape(class_width=11, box_width=13),
