@@ -84,6 +84,8 @@ def train_step(
         )
         if training.disparity_valid_only and ranks.count > 1:
             disparities = disparities * share_of_denominator(own["matched"], max(joint["matched"], 1.0), ranks)
+    elif disparity is not None and ranks.count > 1:
+        disparities = 0.0 * disparity.float().sum()  # the other processes wait for each parameter's gradient
     losses = _joint_means(
         {"class_loss": classes, "box_loss": boxes, "disparity_loss": disparities}, ranks=ranks, device=device
     )
@@ -92,7 +94,7 @@ def train_step(
     if teaches_disparity:
         total = total + training.disparity_weight * disparities
     elif ranks.count > 1:
-        total = total + 0.0 * disparities  # the other processes wait for each parameter's gradient
+        total = total + 0.0 * disparities  # as above
     optimiser.zero_grad(set_to_none=True)
     total.backward()
     if losses["class_loss"] == 0 and not teaches_disparity:

@@ -57,6 +57,11 @@ def test_two_processes_equal_one_with_the_joint_batch(toy: ModuleType, tmp_path:
         [sys.executable, *launch], env=environment, capture_output=True, text=True, check=False, timeout=SECONDS
     )
     assert ran.returncode == 0, ran.stderr
+    for method in toy.METHODS:
+        compare(toy, alone / method, together / method)
+
+
+def compare(toy: ModuleType, alone: Path, together: Path) -> None:
     expected = np.load(alone / "result-0-of-1.npz")
     for rank in range(2):
         found = np.load(together / f"result-{rank}-of-2.npz")

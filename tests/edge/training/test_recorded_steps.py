@@ -19,6 +19,7 @@ from edge.detector.presets import Preset, preset  # noqa: E402
 from edge.training.assign import assign  # noqa: E402
 from edge.training.ground_truth import GroundTruth  # noqa: E402
 from edge.training.losses import ImageTargets  # noqa: E402
+from edge.training.methods import with_method  # noqa: E402
 from edge.training.run_record import RunSettings  # noqa: E402
 from edge.training.step import train_step  # noqa: E402
 from edge.training.stream import Batch  # noqa: E402
@@ -40,7 +41,7 @@ NONE = np.zeros((0, 4), np.float32)
 
 
 def official_settings() -> Preset:
-    paper = preset("paper")
+    paper = with_method(preset("paper"), "official")
     network = replace(paper.network, head=replace(paper.network.head, dropout=0.0))
     return replace(paper, input_size_hw=SIZE_HW, network=network)
 

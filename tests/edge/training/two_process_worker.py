@@ -1,6 +1,6 @@
 """Three steps of a tiny network, alone or as one of several processes; `test_distributed` starts it.
 
-``two_process_worker.py OUT`` writes losses, gradients and parameters to OUT/result-RANK-of-COUNT.npz.
+``two_process_worker.py OUT`` writes losses, gradients and parameters to OUT/METHOD/result-RANK-of-COUNT.npz.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ import torch
 
 from edge.detector.network import StereoDetector
 from edge.detector.presets import HeadShape, NeckShape, NetworkShape, Preset, preset
-from edge.training.distributed import process_group
+from edge.training.distributed import Ranks, process_group
 from edge.training.loop import train
+from edge.training.methods import METHODS, with_method
 from edge.training.run_record import RunSettings
 from edge.training.samples import SampleMaker
 from edge.training.stream import MixedFrames
@@ -70,8 +71,15 @@ def plain_priors(chosen: Preset) -> AnchorPriors:
 
 
 def run(out: Path) -> None:
-    """Train three steps with frozen norms, and write what came of each."""
-    chosen = tiny_preset()
+    """Train three steps with frozen norms by each method, and write what came of each step."""
+    with process_group("cpu") as (ranks, device):
+        for method in METHODS:  # their losses have other normalisers
+            (out / method).mkdir(exist_ok=True)
+            train_with(with_method(tiny_preset(), method), out / method, ranks=ranks, device=device)
+
+
+def train_with(chosen: Preset, out: Path, *, ranks: Ranks, device: str) -> None:
+    """One of the runs."""
     torch.set_num_threads(1)
     torch.manual_seed(5)
     detector = StereoDetector(chosen)
@@ -86,21 +94,20 @@ def run(out: Path) -> None:
                 seen[f"gradient/{step}/{name}"] = parameter.grad.numpy().copy()
             seen[f"parameter/{step}/{name}"] = parameter.detach().numpy().copy()
 
-    with process_group("cpu") as (ranks, device):
-        settings = RunSettings(
-            STEPS,
-            BATCH,
-            1e-3,
-            1e-4,
-            warmup_steps=0,
-            workers=0,
-            device=device,
-            mixed_precision=False,
-            log_every=1,
-            freeze_norms=True,
-        )
-        train(detector, chosen, frames, settings=settings, run_dir=out, resume=False, on_step=keep, ranks=ranks)
-        np.savez(out / f"result-{ranks.rank}-of-{ranks.count}.npz", **seen)
+    settings = RunSettings(
+        STEPS,
+        BATCH,
+        1e-3,
+        1e-4,
+        warmup_steps=0,
+        workers=0,
+        device=device,
+        mixed_precision=False,
+        log_every=1,
+        freeze_norms=True,
+    )
+    train(detector, chosen, frames, settings=settings, run_dir=out, resume=False, on_step=keep, ranks=ranks)
+    np.savez(out / f"result-{ranks.rank}-of-{ranks.count}.npz", **seen)
 
 
 if __name__ == "__main__":
