@@ -108,6 +108,7 @@ class Decoder:
             prior_mean=self._mean[label, shape],
             prior_std=self._std[label, shape],
             facing_away=cls_logits[0, passed, -1] < 0,
+            depth_by_prior=self._manifest.anchors.depth_by_prior,
         )
         height, width = self._manifest.input_size_hw
         boxes[:, X1 : Y1 + 1] = np.maximum(boxes[:, X1 : Y1 + 1], 0)
@@ -172,10 +173,10 @@ def to_detections(
     with np.errstate(all="ignore"):  # what overflows is dropped
         x = (boxes[:, CX] * z - P2[0, 2] * z - P2[0, 3]) / P2[0, 0]
         y = (boxes[:, CY] * z - P2[1, 2] * z - P2[1, 3]) / P2[1, 1]
-        yaw = boxes[:, ALPHA] + rounded_arctan2(x + P2[0, 3] / P2[0, 0], z)
+        turned = boxes[:, ALPHA] + rounded_arctan2(x + P2[0, 3] / P2[0, 0], z)
     real &= np.isfinite(x) & np.isfinite(y)
     alpha = boxes[real, ALPHA].astype(np.float64)
-    yaw = yaw[real].astype(np.float64)
+    yaw = turned[real].astype(np.float64)
     return Detections3D(
         class_id=found.class_id[real],
         score=found.score[real].astype(np.float64),

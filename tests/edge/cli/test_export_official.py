@@ -29,7 +29,7 @@ from edge.detector.presets import HeadShape, NeckShape, NetworkShape, Preset, pr
 
 pytestmark = pytest.mark.torch
 
-GOLDEN = Path(__file__).resolve().parents[2] / "golden" / "network"
+GOLDEN = Path(__file__).resolve().parents[2] / "golden"
 ROUNDING_FACTOR = 10.0  # the recordings' own float32-to-float64 difference, times this
 OF_THE_LARGEST = 2e-4  # max|a - b| / max|a| of an output
 PIXEL_TOLERANCE, METRIC_TOLERANCE, SCORE_TOLERANCE = 1e-2, 1e-3, 1e-4  # of boxes of two float32 networks
@@ -49,7 +49,7 @@ def run_edge(*arguments: str | Path) -> int:
 
 
 def by_rule() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("recorded_case", GOLDEN / "recorded_case.py")
+    spec = importlib.util.spec_from_file_location("recorded_case", GOLDEN / "network" / "recorded_case.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -68,7 +68,7 @@ def official_state(chosen: Preset) -> dict[str, torch.Tensor]:
 def write_tables(folder: Path, classes: tuple[str, ...]) -> Path:
     """The official code's tables of some classes, from the recorded priors."""
     folder.mkdir(parents=True)
-    with np.load(GOLDEN / "priors.npz") as tables:
+    with np.load(GOLDEN / "official" / "priors.npz") as tables:
         for name in classes:
             for part in ("mean", "std"):
                 np.save(folder / f"anchor_{part}_{name}.npy", tables[f"{name}_{part}"].astype(np.float64))
@@ -169,8 +169,8 @@ def paper_model(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 @pytest.mark.slow
 def test_the_exported_paper_network_equals_the_recording(paper_model: Path) -> None:
-    facts = json.loads((GOLDEN / "net_288x1280.json").read_text())
-    with np.load(GOLDEN / "net_288x1280.npz") as file:
+    facts = json.loads((GOLDEN / "network" / "net_288x1280.json").read_text())
+    with np.load(GOLDEN / "network" / "net_288x1280.npz") as file:
         recorded = dict(file)
     rule = by_rule()
     views = [rule.normalised(image) for image in rule.image_pair(288, 1280, 1000)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -19,15 +18,6 @@ ROUNDING_FACTOR = 10.0
 """The official network in float32 and in float64 differ by ``rounding``; ten times that is fair for any float32 one."""
 HALF_PRECISION = 1e-3
 """Relative, for tensors recorded as float16."""
-
-
-def load_module(path: Path) -> ModuleType:
-    """A Python file that is in no package."""
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,9 +67,9 @@ def read_case(size_hw: tuple[int, int]) -> RecordedCase:
 
 
 @pytest.fixture(scope="session")
-def by_rule() -> ModuleType:
-    """``tests/golden/network/recorded_case.py``."""
-    return load_module(GOLDEN / "recorded_case.py")
+def by_rule(golden_module: Callable[[str], ModuleType]) -> ModuleType:
+    """Makes weights and images."""
+    return golden_module("network/recorded_case.py")
 
 
 @pytest.fixture(scope="session")

@@ -28,7 +28,7 @@ pytestmark = pytest.mark.torch
 TRAINED_PARAMETERS, INFERENCE_PARAMETERS = 107_577_232, 100_081_936  # counted from the official code
 SMALL, PAPER = (96, 320), (288, 1280)
 CRC_OF_PAIRS = {SMALL: ("11d123d9", "a1965c42"), PAPER: ("80ce6f74", "16d05e32")}
-GOLDEN = Path(__file__).resolve().parents[2] / "golden" / "network"
+PRIORS = Path(__file__).resolve().parents[2] / "golden" / "official" / "priors.npz"
 PIXEL_TOLERANCE, METRIC_TOLERANCE, SCORE_TOLERANCE = 1e-2, 1e-3, 1e-4  # of boxes of two float32 networks
 ALL_BUT_DETECTIONS = 25
 
@@ -84,7 +84,7 @@ def forward(official_detector: StereoDetector, recorded_inputs: Any) -> Callable
 
 def decoder(size_hw: tuple[int, int]) -> Decoder:
     manifest = dataclasses.replace(preset("paper").manifest(input_type="float32"), input_size_hw=size_hw)
-    return Decoder(manifest, read_priors(GOLDEN / "priors.npz", manifest.classes, manifest.anchors))
+    return Decoder(manifest, read_priors(PRIORS, manifest.classes, manifest.anchors))
 
 
 def test_paper_preset_has_the_published_parameter_count() -> None:

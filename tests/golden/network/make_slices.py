@@ -2,7 +2,7 @@
 
 The recordings are of the official code (github Owen-Liuyuxuan/visualDet3D, commit ad229f2) on a CPU in float32, with
 weights case 0 and image seed 1000 of ``recorded_case.py``. What is kept: every n-th value of each tensor, the whole
-detections, the bounds (each tensor's float32-to-float64 difference), and the text of a recorded result file.
+detections, and the bounds (each tensor's float32-to-float64 difference).
 """
 
 from __future__ import annotations
@@ -43,10 +43,6 @@ def main(reference: Path) -> None:
         np.savez_compressed(HERE / f"{case}.npz", **arrays)
         kept = {"P2": facts["P2"], "P3": facts["P3"], "tensors": tensors}
         (HERE / f"{case}.json").write_text(json.dumps(kept, indent=1) + "\n")
-    with np.load(reference / "priors.npz") as priors:
-        np.savez_compressed(HERE / "priors.npz", **{name: priors[name] for name in priors.files})
-    writer = json.loads((reference / "data_pipeline.json").read_text())["result_writer"]
-    (HERE / "result_file.json").write_text(json.dumps(writer, indent=1) + "\n")
 
 
 if __name__ == "__main__":
