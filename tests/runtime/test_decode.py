@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edge.detector.presets import preset
-from runtime.boxcode import ALPHA, X1, Y2, decode_boxes, encode_boxes
+from runtime.boxcode import ALPHA, X1, Y2, Z, decode_boxes, encode_boxes
 from runtime.contracts.geometry import StereoGeometry, project_to_image
 from runtime.contracts.manifest import AnchorLayout, AnchorPriors, Manifest, read_priors
 from runtime.decode import Decoder, NetworkBoxes, to_detections
@@ -62,6 +62,12 @@ def test_encoding_inverts_decoding(seed: int) -> None:
     boxes = decode_boxes(deltas, facing_away=np.zeros(count, bool), **anchors)
     np.testing.assert_allclose(boxes[:, ALPHA], angle, atol=1e-5)
     np.testing.assert_allclose(encode_boxes(boxes, **anchors), deltas, atol=2e-3)
+
+    plain = decode_boxes(deltas, facing_away=np.zeros(count, bool), depth_by_prior=False, **anchors)
+    probability = 1 / (1 + np.exp(-deltas[:, 6].astype(np.float64)))
+    np.testing.assert_allclose(plain[:, Z], 1 / probability - 1, rtol=1e-5)  # the paper's form
+    np.testing.assert_array_equal(np.delete(plain, Z, axis=1), np.delete(boxes, Z, axis=1))
+    np.testing.assert_allclose(encode_boxes(plain, depth_by_prior=False, **anchors), deltas, atol=2e-3)
 
 
 def test_absurd_regressions_stay_finite() -> None:
