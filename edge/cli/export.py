@@ -61,7 +61,7 @@ def export_command(
     from edge.detector.weights import check_priors, load_weights
     from edge.samples import calibration_source
     from edge.zoo.card import model_card
-    from edge.zoo.priors import find_priors, official_classes
+    from edge.zoo.priors import BUNDLED_ORIGIN, find_priors, official_classes, uses_bundled_priors
     from export.package import write_model_directory
     from export.parity import measure_parity
     from export.to_onnx import to_onnx
@@ -85,6 +85,9 @@ def export_command(
     detector = build_detector(chosen)
     load_weights(detector, weights)
     tables = find_priors(chosen, checkpoint, priors)
+    origin = BUNDLED_ORIGIN if uses_bundled_priors(chosen, checkpoint, priors) else None
+    if origin is not None:
+        console.print(f"priors: {origin}", soft_wrap=True)
     check_priors(checkpoint, tables, chosen.classes)
     network: nn.Module = detector.eval()
     if input_type is InputType.UINT8:
@@ -113,6 +116,8 @@ def export_command(
         "checkpoint_sha256": file_sha256(checkpoint),
         "parity": "; ".join(lines),
     }
+    if origin is not None:
+        provenance["priors"] = origin
     manifest = dataclasses.replace(manifest, provenance=provenance)
     card = model_card(manifest, checkpoint, parity=f"{'; '.join(lines)}.")
     write_model_directory(out, model, manifest, priors=tables, card=card)

@@ -13,7 +13,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from edge.training.assign import pairwise_iou
-from runtime.anchors import AnchorGrid, anchor_grid
+from runtime.anchors import AnchorGrid, BoolArray, anchor_grid
 from runtime.contracts.geometry import FloatArray
 from runtime.contracts.manifest import UNUSABLE_MEAN, UNUSABLE_STD, AnchorLayout, AnchorPriors
 from runtime.contracts.objects import Objects3D
@@ -39,9 +39,11 @@ class PriorStatistics:
         self._sizes.append(objects.size_hwl[:, [1, 0, 2]])
         double = 2 * objects.alpha_rad
         quantities = np.stack([objects.center_in_camera[:, 2], np.sin(double), np.cos(double)], axis=1)
-        iou = pairwise_iou(grid.boxes, boxes.astype(np.float32))
-        anchors = np.flatnonzero(iou.max(axis=1) > OVERLAP)
-        samples = quantities[iou[anchors].argmax(axis=1)]
+        near = np.flatnonzero(_centre_in_any(grid, boxes))
+        iou = pairwise_iou(grid.boxes[near], boxes.astype(np.float32))
+        overlapping = iou.max(axis=1) > OVERLAP
+        anchors = near[overlapping]
+        samples = quantities[iou[overlapping].argmax(axis=1)]
         shapes = grid.shape_index[anchors]
         np.add.at(self._count, shapes, 1)
         np.add.at(self._sum, shapes, samples)
@@ -61,6 +63,15 @@ class PriorStatistics:
             sizes = np.concatenate(self._sizes)
             mean[:, 3:], std[:, 3:] = sizes.mean(axis=0), sizes.std(axis=0)
         return mean, std
+
+
+def _centre_in_any(grid: AnchorGrid, boxes: FloatArray) -> BoolArray:
+    """(N,) bool: anchors with their centre in one of the boxes (M, 4); none else covers half of itself with a box."""
+    found = np.zeros(len(grid.boxes), bool)
+    for left, top, right, bottom in boxes + np.array([-1, -1, 1, 1]):  # a pixel's margin for rounding
+        x, y = grid.center_xy.T
+        found |= (x >= left) & (x <= right) & (y >= top) & (y <= bottom)
+    return found
 
 
 def anchor_statistics(

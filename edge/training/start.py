@@ -13,6 +13,7 @@ from edge.training.checkpoint import CHECKPOINT_FILE, load_checkpoint
 from edge.training.labelled_views import labelled_views
 from edge.training.priors import anchor_statistics
 from edge.training.schedule import steps_of
+from edge.zoo.priors import bundled_priors
 from runtime.contracts.errors import CheckpointError, EdgeError, OutputError
 from runtime.contracts.manifest import AnchorPriors, file_sha256, read_priors, write_priors
 from runtime.sources.base import FrameSequence
@@ -50,7 +51,9 @@ def open_run(out: Path, *, resume: bool) -> int:
 
 
 def run_priors(out: Path, preset: Preset, sources: Sequence[FrameSequence], *, given: Path | None) -> AnchorPriors:
-    """The run's anchor priors: those in its folder, the given ones, or those of the datasets' labels.
+    """The run's anchor priors: those in its folder, the given ones, the bundled ones, or the datasets' labels'.
+
+    Presets paper and mono come with the statistics of KITTI's train split, see `edge.zoo.priors`.
 
     Raises:
         CheckpointError: the given ones are not those that the run began with.
@@ -58,6 +61,7 @@ def run_priors(out: Path, preset: Preset, sources: Sequence[FrameSequence], *, g
     file = out / PRIORS_FILE
     if given is not None and file.exists() and file_sha256(given) != file_sha256(file):
         raise CheckpointError(f"{given} are not the priors of the run in {out}, expected the same; leave --priors out")
+    given = bundled_priors(preset) if given is None else given
     if not file.exists():
         if given is not None:
             shutil.copyfile(given, file)

@@ -33,7 +33,7 @@ Finds {", ".join(manifest.classes)} in 3D from {views}; network image {width} x 
 
 Exported from `{checkpoint.name}`.
 
-{origin}
+{origin}{_priors_line(manifest)}
 
 ## Checks
 
@@ -45,3 +45,9 @@ Made for a rig of focal length {manifest.rig.focal_px:.0f} px at network size an
 {manifest.rig.baseline_m:.3f} m, rectified, level, on a road. Not a safety component: objects are missed and
 invented, most of all far away, hidden, cut by the image border, at night and in bad weather.
 """
+
+
+def _priors_line(manifest: Manifest) -> str:
+    """Where the priors come from, if that is known."""
+    known = manifest.provenance.get("priors")
+    return "" if known is None else f"\n\nAnchor priors: {known}."

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 
-from edge.detector.presets import Preset
+from edge.detector.presets import PRESETS, Preset
 from runtime.contracts.errors import CheckpointError
 from runtime.contracts.manifest import PRIORS_FILE, AnchorPriors, read_priors
 
+SHAPE_FIELDS = ("stride_px", "base_px", "scales_per_octave", "scale_count", "ratios")
+"""What statistics depend on: anchors of the same shape in the same places."""
 OFFICIAL_CLASS_ORDER = ("Car", "Pedestrian", "Cyclist")
 """Order of the class channels in the official code's configurations."""
+BUNDLED = {"paper": "paper-priors.npz", "mono": "mono-priors.npz"}
+"""Statistics of KITTI's 3,712 train-side label files (CC BY-NC-SA 3.0), by preset."""
+BUNDLED_ORIGIN = "bundled statistics of KITTI's 3,712 train-side label files, licence CC BY-NC-SA 3.0"
 _MEAN_PREFIX = "anchor_mean_"
 
 
@@ -23,6 +29,7 @@ def find_priors(preset: Preset, checkpoint: Path, given: Path | None) -> AnchorP
         checkpoint: Weights; ``priors.npz`` in the same folder is taken where nothing was given.
         given: An ``.npz`` of ``edge priors``, a folder with ``priors.npz``, or a folder of the official
             code's ``anchor_mean_CLASS.npy`` and ``anchor_std_CLASS.npy``, itself or the one above ``training``.
+            Where nothing was given and nothing lies beside the checkpoint: those of `bundled_priors`.
 
     Raises:
         CheckpointError: There are none.
@@ -36,10 +43,35 @@ def find_priors(preset: Preset, checkpoint: Path, given: Path | None) -> AnchorP
     official = _official_folder(where)
     if official is not None:
         return _read_official(preset, official)
+    bundled = bundled_priors(preset)
+    if given is None and bundled is not None:
+        return read_priors(bundled, preset.classes, preset.anchors)
     raise CheckpointError(
         f"{where}: found no anchor priors; expected {PRIORS_FILE} or the official anchor_mean_CLASS.npy files;"
         " make them with `edge priors` and give them by --priors"
     )
+
+
+def uses_bundled_priors(preset: Preset, checkpoint: Path, given: Path | None) -> bool:
+    """Whether `find_priors` falls back to the package's own table."""
+    beside = (checkpoint.parent / PRIORS_FILE).is_file() or _official_folder(checkpoint.parent) is not None
+    return given is None and not beside and bundled_priors(preset) is not None
+
+
+def bundled_priors(preset: Preset) -> Path | None:
+    """The package's own table for a preset, ablated or not; None where there is none for its classes and anchors.
+
+    Its licence is KITTI's, CC BY-NC-SA 3.0, which a model that is made with it inherits.
+    """
+    name = preset.name.partition("+")[0]
+    if name not in BUNDLED:
+        return None
+    original = PRESETS[name]
+    layout, own = preset.anchors, original.anchors
+    same_shapes = all(getattr(layout, part) == getattr(own, part) for part in SHAPE_FIELDS)
+    same = same_shapes and preset.classes == original.classes
+    same = same and (preset.input_size_hw, preset.crop) == (original.input_size_hw, original.crop)
+    return Path(str(files("edge.zoo"))) / BUNDLED[name] if same else None
 
 
 def official_classes(folder: Path) -> tuple[str, ...]:
