@@ -171,3 +171,22 @@ def test_boxes_from_recorded_outputs(
     np.testing.assert_array_equal(found.class_id, case.arrays["det_label_aligned"])
     np.testing.assert_array_equal(found.score, case.arrays["det_scores"])  # to the last bit
     np.testing.assert_array_equal(found.boxes, case.arrays["det_boxes"])
+
+
+@pytest.mark.slow
+def test_exported_graph_equals_the_recording_at_the_reduced_size(
+    official_detector: StereoDetector, recorded_inputs: Any, recorded_case: Callable[..., Any]
+) -> None:
+    """In plain ONNX Runtime: the correlations are computed by the function body in the file."""
+    pytest.importorskip("onnx")
+    import onnxruntime
+
+    from export.to_onnx import to_onnx
+
+    feeds = dict(zip(("left", "right"), recorded_inputs(SMALL), strict=True))
+    examples = {name: torch.from_numpy(array) for name, array in feeds.items()}
+    content = to_onnx(official_detector, examples, ("cls_logits", "box_deltas")).SerializeToString()
+    outputs = onnxruntime.InferenceSession(content, providers=["CPUExecutionProvider"]).run(None, feeds)
+    case = recorded_case(SMALL)
+    for name, value in zip(("cls_out", "reg_out"), outputs, strict=True):
+        case.check(name, case.kept(name, value), case.arrays[name])
