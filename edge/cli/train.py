@@ -9,9 +9,19 @@ import typer
 
 
 def train_command(
-    dataset: Annotated[list[str], typer.Option(help="Labelled stereo source URI; give it again for more.")],
+    dataset: Annotated[
+        list[str], typer.Option(help="Labelled source URI, of pairs but for mono; give it again for more.")
+    ],
     out: Annotated[Path, typer.Option(help="Run directory: checkpoint, log, plot, weights.")],
-    preset: Annotated[str, typer.Option(help="paper or compact.")] = "compact",
+    preset: Annotated[str, typer.Option(help="compact, paper or mono.")] = "compact",
+    method: Annotated[
+        Optional[str],  # noqa: UP045
+        typer.Option(help="paper or official: that set of losses, targets and epochs; the preset's own if not given."),
+    ] = None,
+    ablate: Annotated[
+        Optional[list[str]],  # noqa: UP045
+        typer.Option(help="Row of the paper's ablation table, see docs/paper.md; give it again for more."),
+    ] = None,
     repeat: Annotated[
         Optional[list[int]],  # noqa: UP045 - typer reads this form
         typer.Option(help="How often an epoch shows each --dataset, in their order; 1 where not given."),
@@ -79,11 +89,13 @@ def train_command(
     import torch
 
     from edge.cli.train_progress import TrainProgress
-    from edge.detector.network import StereoDetector
+    from edge.detector.ablations import ablated
+    from edge.detector.build import build_detector
     from edge.detector.presets import preset as find_preset
     from edge.detector.weights import PRIORS_KEY, load_backbone, load_weights, priors_digest, save_weights
     from edge.training.distributed import process_group, ranks_of_environment, wait_for_all
     from edge.training.loop import train
+    from edge.training.methods import with_method
     from edge.training.precision import wants_mixed_precision
     from edge.training.run_record import RunSettings, check_same_run, write_settings
     from edge.training.samples import SampleMaker
@@ -94,7 +106,8 @@ def train_command(
     from runtime.contracts.errors import CheckpointError, EdgeError
     from runtime.sources.factory import open_sequence
 
-    chosen = find_preset(preset)
+    chosen = find_preset(preset) if method is None else with_method(find_preset(preset), method)
+    chosen = ablated(chosen, ablate or [])
     weights = list(repeat or []) + [1] * (len(dataset) - len(repeat or []))
     if len(weights) != len(dataset) or min(weights) < 1:
         raise EdgeError(
@@ -117,7 +130,7 @@ def train_command(
             first_step = open_run(out, resume=True) if resume else 0
         tables = run_priors(out, chosen, sources, given=None)
         torch.manual_seed(seed)
-        detector = StereoDetector(chosen)
+        detector = build_detector(chosen)
         if backbone is not None:
             load_backbone(detector, backbone)
         if start is not None:
@@ -145,7 +158,12 @@ def train_command(
         wait_for_all(ranks)
         if ranks.writes:
             write_settings(out, chosen, settings, dict(zip(dataset, weights, strict=True)))
-        metadata = {"preset": chosen.name, "seed": str(seed), PRIORS_KEY: priors_digest(tables, chosen.classes)}
+        metadata = {
+            "preset": chosen.name,
+            "method": method or "preset",
+            "seed": str(seed),
+            PRIORS_KEY: priors_digest(tables, chosen.classes),
+        }
         validate = None
         if measured is not None:
             validate = Validation(

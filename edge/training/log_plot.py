@@ -28,7 +28,7 @@ def plot_log(log: Path, picture: Path) -> None:
         axis.set_title(name.replace("_", " "))
         axis.set_xlabel("step")
         axis.grid(alpha=0.3)
-        if name == "disparity_loss" or name == "box_loss" or name == "class_loss":
+        if name.endswith("_loss") and max(values) > 0:
             axis.set_yscale("log")
     figure.savefig(picture, dpi=110)
     plt.close(figure)
