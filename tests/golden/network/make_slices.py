@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import sys
 from pathlib import Path
 
@@ -43,6 +44,7 @@ def main(reference: Path) -> None:
         np.savez_compressed(HERE / f"{case}.npz", **arrays)
         kept = {"P2": facts["P2"], "P3": facts["P3"], "tensors": tensors}
         (HERE / f"{case}.json").write_text(json.dumps(kept, indent=1) + "\n")
+    shutil.copyfile(reference / "macs_params.json", HERE / "macs_params.json")
 
 
 if __name__ == "__main__":
