@@ -69,6 +69,7 @@ def quantise_graph(
     *,
     ranges: Mapping[str, Range],
     channels: ChannelExtremes,
+    shifts: Mapping[str, NDArray[np.float64]] | None = None,
 ) -> QuantisedGraph:
     """Writes the INT8 graph.
 
@@ -78,11 +79,12 @@ def quantise_graph(
         recipe: Types and bits.
         ranges: (low, high) by tensor, at least of ``placement.observed`` or their roots in a wider placement.
         channels: (C,) minima and maxima, at least of ``placement.observed_channels``.
+        shifts: (M,) added to the bias of a convolution, by its name; those of float ones are not used.
 
     Raises:
         QuantizeError: A range is missing or unusable.
     """
-    return _Writer(model, placement, recipe, ranges, channels).write()
+    return _Writer(model, placement, recipe, ranges, channels, shifts or {}).write()
 
 
 class _Writer:
@@ -95,9 +97,10 @@ class _Writer:
         recipe: Recipe,
         ranges: Mapping[str, Range],
         channels: ChannelExtremes,
+        shifts: Mapping[str, NDArray[np.float64]],
     ) -> None:
         self._model, self._placement, self._recipe = model, placement, recipe
-        self._ranges, self._channels = ranges, channels
+        self._ranges, self._channels, self._shifts = ranges, channels, shifts
         self._index = GraphIndex(model)
         self._nodes: list[onnx.NodeProto] = []
         self._constants: dict[str, NDArray[Any]] = {}
@@ -254,6 +257,7 @@ class _Writer:
         bias = self._index.constant(node.input[2]) if has_bias else None
         total = np.zeros(weight.shape[0]) if bias is None else bias.astype(np.float64)
         total = total if shift is None else total + shift
+        total = total + self._shifts.get(node.name, 0.0)
         scales = weight_scales(weight, bits=self._recipe.weight_bits, per_channel=self._recipe.weight_per_channel)
         scales = np.broadcast_to(scales, weight.shape[0])
         scales = scales_that_hold_bias(scales, total, input_scale)

@@ -38,6 +38,8 @@ class Recipe:
         dequantised ones. integer_moves: let operators that only move values read 8-bit tensors directly;
         else between a
             DequantizeLinear and a QuantizeLinear, for runtimes that want to see those.
+        equalise: bring the channels of a tensor to like ranges, where their factors pass on.
+        bias_correction: take the mean error of each channel out of the biases.
         verified: ``measured`` on such a machine, or ``structure`` only.
     """
 
@@ -53,6 +55,8 @@ class Recipe:
     column_outputs: bool
     quantize_correlation: bool
     integer_moves: bool
+    equalise: bool
+    bias_correction: bool
     verified: str
 
 
@@ -129,6 +133,8 @@ _SWITCHES = (
     "column_outputs",
     "quantize_correlation",
     "integer_moves",
+    "equalise",
+    "bias_correction",
 )
 _ALLOWED: dict[str, tuple[Any, ...]] = {
     "activation_type": get_args(ActivationType),

@@ -12,17 +12,20 @@ import dataclasses
 import platform
 import re
 import shutil
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
+import numpy as np
 import onnx
 
 from calib.cache import cache_key, load, store
 from calib.frames import CalibrationSet, chosen_frames, frame_feeds, record, rig_check
 from calib.methods import Range
 from calib.ranges import Observation, Progress, no_progress, observe
+from quantize.bias_correction import Shifts, bias_shifts
+from quantize.equalise import equalisable, equalise
 from quantize.errors import QuantizeError
 from quantize.graph import multiply_adds, name_nodes, tensor_shapes
 from quantize.pixels import fold_pixels
@@ -45,6 +48,8 @@ from runtime.model_folder import replaced_directory
 CARD_FILE = "card.md"
 _TOOLS = ("onnx", "onnxruntime", "numpy")
 _FLOAT_BYTES = 4
+CORRECTION_FRAMES = 8
+"""Frames that show bias correction its means, and equalisation its channels' peaks."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,13 +153,12 @@ def calibrate(
     chosen = record(source, wanted, name=name, check=check)
     if chosen.available is not None and chosen.available < wanted:
         warn(f"calibration source: {chosen.available} frames, {wanted} were wanted; all are used")
-    key = cache_key(
-        prepared.model.SerializeToString(deterministic=True),
-        chosen.digest,
-        geometry_digest=chosen.geometry_digest,
+    key = _key(
+        prepared,
+        prepared.model,
+        chosen,
         tensors=placement.observed,
         channel_tensors=placement.observed_channels,
-        view=repr((manifest.crop, manifest.input_size_hw, manifest.input_type, manifest.normalisation, manifest.rig)),
     )
     known = load(key) if use_cache else None
     if known is not None:
@@ -179,6 +183,7 @@ def build(
     ranges: Mapping[str, Range],
     *,
     given_back: Collection[str] = (),
+    shifts: Shifts | None = None,
 ) -> QuantisedGraph:
     """Writes the INT8 graph.
 
@@ -187,11 +192,121 @@ def build(
         observation: Of its whole placement.
         ranges: ``observation.ranges(method)``, made once for many builds.
         given_back: Names of nodes that stay float.
+        shifts: What biases take in addition (`corrections`); None for nothing.
     """
     placement = place(prepared.model, prepared.recipe, given_back) if given_back else prepared.placement
     # A tensor can be a root only since the move that made it was given back: it had its root's range before.
     known = {name: ranges[prepared.placement.root_of.get(name, name)] for name in placement.observed}
-    return quantise_graph(prepared.model, placement, prepared.recipe, ranges=known, channels=observation.channels)
+    return quantise_graph(
+        prepared.model, placement, prepared.recipe, ranges=known, channels=observation.channels, shifts=shifts
+    )
+
+
+def equalised(
+    prepared: Prepared,
+    source: Iterable[StereoFrame],
+    *,
+    use_cache: bool = True,
+    allow_other_rig: bool = False,
+    progress: Progress = no_progress,
+) -> Prepared:
+    """The same network with channels of like range; as it was where the recipe does not equalise.
+
+    Comes before `calibrate`, which then sees the ranges of the new channels.
+
+    Args:
+        prepared: The float model.
+        source: Entered calibration frames; a few show how large channels get.
+        use_cache: Look for, and keep, what they showed in the user's cache folder.
+        allow_other_rig: Accept cameras far from those of the training data.
+        progress: Told after every frame.
+
+    Raises:
+        SourceError, RigError, FrameError, FormatError: As `calibrate`.
+    """
+    names = (
+        equalisable(prepared.model, prepared.shapes, prepared.placement.observed) if prepared.recipe.equalise else []
+    )
+    if not names:
+        return prepared
+    manifest = prepared.source.manifest
+    check = rig_check(manifest, allow_other_rig=allow_other_rig)
+    chosen = record(source, CORRECTION_FRAMES, name="", check=check)
+    key = _key(prepared, prepared.model, chosen, tensors=(), channel_tensors=names)
+    seen = load(key) if use_cache else None
+    if seen is None:
+        seen = observe(
+            prepared.model,
+            lambda: frame_feeds(chosen_frames(source, CORRECTION_FRAMES), manifest, allow_other_rig=allow_other_rig),
+            tensors=(),
+            channel_tensors=names,
+            bytes_of={tensor: _size(shape) * _FLOAT_BYTES for tensor, shape in prepared.shapes.items()},
+            frame_count=len(chosen.frames),
+            progress=lambda stage, done, total: progress("looking at channels", done, total),
+        )
+        if use_cache:
+            store(key, seen)
+    return dataclasses.replace(prepared, model=equalise(prepared.model, prepared.shapes, seen.channels))
+
+
+def corrections(
+    prepared: Prepared,
+    calibration: Calibration,
+    ranges: Mapping[str, Range],
+    source: Iterable[StereoFrame],
+    *,
+    use_cache: bool = True,
+    allow_other_rig: bool = False,
+    progress: Progress = no_progress,
+) -> Shifts:
+    """What the biases take in addition on account of 8 bits; nothing where the recipe does not correct.
+
+    Args:
+        prepared: The float model.
+        calibration: Of its whole placement.
+        ranges: Of its tensors, those that the build will use.
+        source: Entered calibration frames, of which a few are run; means settle soon.
+        use_cache: Look for, and keep, the result in the user's cache folder.
+        allow_other_rig: Accept cameras far from those of the training data.
+        progress: Told after every frame.
+    """
+    if not prepared.recipe.bias_correction:
+        return {}
+    graph = build(prepared, calibration.observation, ranges)
+    key = _key(prepared, graph.model, calibration.frames, tensors=("bias shifts", str(CORRECTION_FRAMES)))
+    seen = load(key) if use_cache else None
+    if seen is not None:
+        return {name: shift.astype(np.float64) for name, (shift, _) in seen.channels.items()}
+    feeds = frame_feeds(
+        chosen_frames(source, CORRECTION_FRAMES), prepared.source.manifest, allow_other_rig=allow_other_rig
+    )
+    found = bias_shifts(
+        prepared.model, graph.model, prepared.placement, feeds, frame_count=CORRECTION_FRAMES, progress=progress
+    )
+    rounded = {name: shift.astype(np.float32) for name, shift in found.items()}
+    if use_cache:
+        store(key, Observation({}, {name: (shift, shift) for name, shift in rounded.items()}, CORRECTION_FRAMES))
+    return {name: shift.astype(np.float64) for name, shift in rounded.items()}
+
+
+def _key(
+    prepared: Prepared,
+    model: onnx.ModelProto,
+    frames: CalibrationSet,
+    *,
+    tensors: Sequence[str],
+    channel_tensors: Sequence[str] = (),
+) -> str:
+    """Hash of all that a run over frames depends on."""
+    manifest = prepared.source.manifest
+    return cache_key(
+        model.SerializeToString(deterministic=True),
+        frames.digest,
+        geometry_digest=frames.geometry_digest,
+        tensors=tensors,
+        channel_tensors=channel_tensors,
+        view=repr((manifest.crop, manifest.input_size_hw, manifest.input_type, manifest.normalisation, manifest.rig)),
+    )
 
 
 def int8_share(prepared: Prepared, given_back: Collection[str] = ()) -> float:

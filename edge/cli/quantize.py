@@ -12,6 +12,7 @@ import typer
 
 if TYPE_CHECKING:
     from calib.methods import Range
+    from quantize.bias_correction import Shifts
     from quantize.budget import BudgetResult
     from quantize.static import Calibration, Prepared
     from runtime.contracts.manifest import ModelDirectory
@@ -62,7 +63,7 @@ def quantize_command(
     from edge.samples import calibration_source
     from quantize.errors import QuantizeError
     from quantize.recipe import detect_target, recipe_for_target
-    from quantize.static import build, calibrate, prepare_model, write_directory
+    from quantize.static import build, calibrate, corrections, equalised, prepare_model, write_directory
     from runtime.contracts.errors import GoalMissedError
     from runtime.contracts.manifest import open_model_directory
     from runtime.sources.factory import open_sequence
@@ -79,6 +80,9 @@ def quantize_command(
         _say("no --calibration: ranges come from the bundled simulated drive; frames of your own camera fit better")
     uri = calibration or calibration_source()
     with open_sequence(uri) as opened, _progress() as progress:
+        prepared = equalised(
+            prepared, opened, use_cache=not no_cache, allow_other_rig=allow_other_rig, progress=progress
+        )
         found = calibrate(
             prepared,
             opened,
@@ -92,10 +96,19 @@ def quantize_command(
         reached = "remembered from an earlier run" if found.from_cache else "run"
         _say(f"calibrated on {len(found.frames.frames)} frames of {found.frames.source} ({reached})")
 
-    ranges = found.observation.ranges(method.value)
+        ranges = found.observation.ranges(method.value)
+        shifts = corrections(
+            prepared,
+            found,
+            ranges,
+            opened,
+            use_cache=not no_cache,
+            allow_other_rig=allow_other_rig,
+            progress=progress,
+        )
 
     def write(place: Path, given_back: Sequence[str]) -> ModelDirectory:
-        graph = build(prepared, found.observation, ranges, given_back=given_back)
+        graph = build(prepared, found.observation, ranges, given_back=given_back, shifts=shifts)
         return write_directory(prepared, graph, found, place, method=method.value, given_back=given_back)
 
     search = None
@@ -118,6 +131,8 @@ def quantize_command(
         found,
         written,
         given_back=given_back,
+        ranges=ranges,
+        shifts=shifts,
         method=method.value,
         validation=validation,
         search=search,
@@ -213,6 +228,8 @@ def _report(
     written: ModelDirectory,
     *,
     given_back: Sequence[str],
+    ranges: Mapping[str, Range],
+    shifts: Shifts,
     method: str,
     validation: str | None,
     search: BudgetResult | None,
@@ -264,7 +281,7 @@ def _report(
                 _warn_of_overlap(found, source)
             pairs = list(chosen_frames(source, TIMED_FRAMES))
             feeds = list(frame_feeds(pairs[:NOISE_FRAMES], manifest, allow_other_rig=allow_other_rig))
-            graph = build(prepared, found.observation, found.observation.ranges(method), given_back=given_back)
+            graph = build(prepared, found.observation, ranges, given_back=given_back, shifts=shifts)
             layers = layer_noise(prepared, graph, lambda: feeds)
             paths = [prepared.source.path, written.path]
             measurements = _measure(paths, source, allow_other_rig=allow_other_rig)
