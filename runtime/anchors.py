@@ -1,4 +1,4 @@
-"""Anchor boxes of the network image, and which of them can hold an object on the ground (paper, section III-B).
+"""Anchor boxes of the network image, and which of them can hold an object on the ground (paper, section III-A1).
 
 NumPy alone: training, evaluation of priors and decoding share this file.
 """

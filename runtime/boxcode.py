@@ -1,4 +1,4 @@
-"""The 12 numbers of a box, both ways: what the network regresses and what it means (paper, section III-B).
+"""The 12 numbers of a box, both ways: what the network regresses and what it means (paper, section III-A1).
 
 With anchor centre (px, py), size (pw, ph) and prior (mean m, deviation s) of the anchor's shape and class:
 

@@ -1,4 +1,4 @@
-"""From head outputs to 3D boxes, on the CPU in NumPy (paper, section III-B; official order of steps).
+"""From head outputs to 3D boxes, on the CPU in NumPy (paper, section III-A1; official order of steps).
 
 Usable anchors whose best class passes the threshold are decoded, clipped, dropped where their class has no prior,
 and thinned by NMS. Kept from the official code: NMS over all classes (a field of the manifest), the one-sided clip,

@@ -34,6 +34,10 @@ def export_command(
         Optional[Path],  # noqa: UP045 - typer reads this form
         typer.Option(help="Priors file, or folder of it or of the official tables; default: beside the checkpoint."),
     ] = None,
+    ablate: Annotated[
+        Optional[list[str]],  # noqa: UP045
+        typer.Option(help="Ablation that the weights were trained with, see docs/paper.md; give it again for more."),
+    ] = None,
     classes: Annotated[
         Optional[str],  # noqa: UP045
         typer.Option(help="Names in channel order, comma-separated, where they are not the preset's."),
@@ -54,11 +58,12 @@ def export_command(
     from rich.console import Console
     from torch import nn
 
+    from edge.detector.ablations import ablated
     from edge.detector.build import build_detector
     from edge.detector.checkpoint_file import read_checkpoint
     from edge.detector.official_shapes import class_count, fitted_preset
     from edge.detector.presets import preset as find_preset
-    from edge.detector.weights import check_priors, load_weights
+    from edge.detector.weights import check_ablations, check_priors, load_weights
     from edge.samples import calibration_source
     from edge.zoo.card import model_card
     from edge.zoo.priors import BUNDLED_ORIGIN, find_priors, official_classes, uses_bundled_priors
@@ -73,7 +78,7 @@ def export_command(
 
     console = Console(stderr=True, highlight=False)
     weights = read_checkpoint(checkpoint)
-    named = find_preset(preset)
+    named = ablated(find_preset(preset), ablate or [])
     names = tuple(name.strip() for name in classes.split(",")) if classes else None
     if names is None and class_count(named, weights) != len(named.classes):
         by_priors = official_classes(priors or checkpoint.parent)
@@ -81,6 +86,7 @@ def export_command(
             names = by_priors
             console.print(f"classes by the files of the priors: {', '.join(names)}")
     chosen = fitted_preset(named, weights, names)
+    check_ablations(checkpoint, chosen)
     manifest = chosen.manifest(input_type=input_type.value)
     detector = build_detector(chosen)
     load_weights(detector, weights)

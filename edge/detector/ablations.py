@@ -34,6 +34,7 @@ def _training(**fields: Any) -> Callable[[Preset], Preset]:
 
 
 ABLATIONS: dict[str, Callable[[Preset], Preset]] = {
+    "no-anchor-prior": _anchors(depth_by_prior=False),
     "no-anchor-filter": _anchors(filter_by_ground=False),
     "no-channel-expansion": _neck(expansion="none"),
     "naive-channel-expansion": _neck(expansion="naive"),

@@ -1,4 +1,4 @@
-"""The shared image backbone: a ResNet of basic or bottleneck blocks, stages 1 to 3 (paper, section III-A)."""
+"""The shared image backbone: a ResNet of basic or bottleneck blocks, stages 1 to 3 (paper, section III-C)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The small concatenation volume at stride 16 with its two 3D convolutions (paper, section III-A)."""
+"""The small concatenation volume at stride 16 with its two 3D convolutions (paper, section III-B3)."""
 
 from __future__ import annotations
 

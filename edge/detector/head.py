@@ -1,4 +1,4 @@
-"""The anchor head: class and box branches over every cell (paper, section III-B)."""
+"""The anchor head: class and box branches over every cell (paper, sections III-A1 and III-C)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""YOLOMono3D, the monocular sibling: the detector without a right view (paper, section IV-B; official code)."""
+"""YOLOMono3D, the monocular sibling: the detector without a right view (paper, section IV-C; official code)."""
 
 from __future__ import annotations
 

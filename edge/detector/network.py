@@ -1,4 +1,4 @@
-"""YOLOStereo3D as one module (paper, section III, figure 2)."""
+"""YOLOStereo3D as one module (paper, section III-C, figure 1)."""
 
 from __future__ import annotations
 

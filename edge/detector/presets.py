@@ -1,4 +1,4 @@
-"""Named detectors: everything that tells one from another, as data.
+"""Named detectors: everything that tells one from another, as data (paper, section IV-A for ``paper``).
 
 ``paper`` is the published network with the official code's settings. ``compact`` is the same family cut to 8 M
 parameters and 20 G multiply-adds: ResNet-18, half the disparities at stride 8, narrower fusion, a two-layer box

@@ -14,6 +14,7 @@ from torch import nn
 from edge.detector.build import Detector
 from edge.detector.checkpoint_file import Checkpoint, read_checkpoint
 from edge.detector.misfit import compare, shapes_of
+from edge.detector.presets import Preset
 from runtime.contracts.errors import CheckpointError
 from runtime.contracts.manifest import AnchorPriors
 
@@ -67,6 +68,28 @@ def check_priors(path: Path, tables: AnchorPriors, classes: tuple[str, ...]) -> 
     if expected is not None and priors_digest(tables, classes) != expected:
         raise CheckpointError(
             f"{path} was trained with other priors, expected the tables that lie beside it; give those by --priors"
+        )
+
+
+def check_ablations(path: Path, preset: Preset) -> None:
+    """Refuse weights that were trained with other ablations than the preset has.
+
+    Some of them change what the outputs mean and no shape; a file that does not name its preset passes.
+
+    Raises:
+        CheckpointError: the ablations in the preset's name that `save_weights` was given differ.
+    """
+    if path.suffix != ".safetensors":
+        return
+    with safe_open(path, framework="pt") as file:
+        trained = (file.metadata() or {}).get("preset")
+    if trained is None:
+        return
+    found, given = (set(name.split("+")[1:]) for name in (trained, preset.name))
+    if found != given:
+        flags = " ".join(f"--ablate {name}" for name in sorted(found)) or "no --ablate"
+        raise CheckpointError(
+            f"{path} was trained as {trained}, expected the same ablations as {preset.name}; give {flags}"
         )
 
 

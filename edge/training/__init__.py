@@ -1,1 +1,1 @@
-"""Training: priors, targets, losses, augmentation, the loop (paper, sections III-B to III-D)."""
+"""Training: priors, targets, losses, augmentation, the loop (paper, sections III-A, III-C and IV-A)."""

@@ -1,4 +1,4 @@
-"""Which anchors learn what (paper, section III-B; official rules, the flaw of objects without overlap by option)."""
+"""Which anchors learn what (paper, section III-A1; official rules, the flaw of objects without overlap by option)."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def _overlap(boxes: FloatArray32, others: FloatArray32) -> tuple[FloatArray32, F
 
 
 def match_anchors(
-    boxes: FloatArray32, truth: FloatArray32, *, claim_without_overlap: bool
+    boxes: FloatArray32, truth: FloatArray32, *, claim_without_overlap: bool, low_quality_matches: bool = True
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """Match anchors to objects.
 
@@ -62,6 +62,7 @@ def match_anchors(
         boxes: (N, 4) anchors.
         truth: (G, 4) objects.
         claim_without_overlap: an object with no overlap claims all anchors without overlap (official flaw).
+        low_quality_matches: each object claims the anchors of its largest overlap, below the threshold, too.
 
     Returns:
         (N,) object index, -1 ignored, -2 background, and (N,) bool background.
@@ -71,6 +72,8 @@ def match_anchors(
     iou = pairwise_iou(boxes, truth)
     best = iou.max(axis=1)
     match = np.where(best >= POSITIVE_IOU, iou.argmax(axis=1), np.where(best < NEGATIVE_IOU, -2, -1))
+    if not low_quality_matches:
+        return match, match == -2
     best_of_object = iou.max(axis=0)
     for index in range(len(truth)):
         if best_of_object[index] > 0 or claim_without_overlap:
@@ -85,14 +88,21 @@ def assign(
     *,
     priors: AnchorPriors,
     claim_without_overlap: bool = False,
+    low_quality_matches: bool = True,
+    usable_for_class: BoolArray | None = None,
+    depth_by_prior: bool = True,
 ) -> AnchorTargets:
     """Assign objects to the usable anchors of one image and encode them.
 
-    Positives whose class has no prior for the anchor's shape are ignored.
+    Positives whose class has no prior for the anchor's shape are ignored; with ``usable_for_class`` (classes, N) also
+    those off the ground of the class that they are assigned to (paper, anchor filtering).
     """
     index = np.flatnonzero(usable)
     match, background = match_anchors(
-        grid.boxes[index], truth.boxes[:, :4], claim_without_overlap=claim_without_overlap
+        grid.boxes[index],
+        truth.boxes[:, :4],
+        claim_without_overlap=claim_without_overlap,
+        low_quality_matches=low_quality_matches,
     )
     background = background & ~_on_ignored(grid.boxes[index], truth)
     label = np.full(len(usable), IGNORED, np.int8)
@@ -102,6 +112,8 @@ def assign(
     mean, std = priors.by_anchor()
     shape, classes = grid.shape_index[positive], truth.class_index[objects]
     known = mean[classes, shape, 0] > 0
+    if usable_for_class is not None:
+        known &= usable_for_class[classes, positive]
     positive, objects, shape, classes = positive[known], objects[known], shape[known], classes[known]
     label[positive] = classes + 1
     boxes = truth.boxes[objects]
@@ -115,6 +127,7 @@ def assign(
             anchor_size_wh=grid.size_wh[positive],
             prior_mean=mean[classes, shape],
             prior_std=std[classes, shape],
+            depth_by_prior=depth_by_prior,
         ),
         facing=(np.cos(boxes[:, ALPHA]) > 0).astype(np.float32),
         object_count=len(truth.boxes),

@@ -1,4 +1,4 @@
-"""Colour augmentation of a stereo pair: the same draws for both views (official order and ranges).
+"""Colour augmentation of a stereo pair, the same draws for both views (paper, section III-A2; official ranges).
 
 Works on float32 RGB in 0..255 without clipping. Each step consumes one draw for whether (always) and one for how much,
 so that a recorded generator reproduces it.

@@ -1,4 +1,4 @@
-"""Disparity supervision: block matching of the pair, so that no lidar is needed (paper, section III-C), or points.
+"""Disparity supervision: block matching of the pair, so that no lidar is needed (paper, section III-C1), or points.
 
 All maps are on the stride-4 grid in pixels of the network image; 0 is unknown. Disparities pass through the matcher's
 sixteenths of a pixel, as the official code stores them.

@@ -1,4 +1,4 @@
-"""The training loop (paper, section III-D)."""
+"""The training loop (paper, section IV-A)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The three losses (paper, section III-C): focal for classes, smooth L1 for boxes, stereo focal for disparity."""
+"""The three losses (paper, section III-C2): focal for classes, smooth L1 for boxes, stereo focal for disparity."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Statistical priors: what depth, angle and size an anchor's shape suggests (paper, section III-B).
+"""Statistical priors: what depth, angle and size an anchor's shape suggests (paper, section III-A1).
 
 Every anchor of the image that overlaps an object by more than one half adds the z, sin 2a, cos 2a of the object that
 it overlaps best to the statistics of its shape; sizes have one mean and deviation a class. Official rules: occlusion

@@ -28,7 +28,7 @@ def schedule_kind(word: str) -> ScheduleKind:
 class Schedule:
     """Learning rate by step.
 
-    ``cosine`` falls from ``peak`` to ``final`` over the run's epochs, one value an epoch (paper, official code).
+    ``cosine`` falls from ``peak`` to ``final``, one value an epoch (paper, section IV-A; official code).
     ``cosine-step`` is the same curve, moved on at every step.
     ``hold`` warms up, stays at ``peak`` and falls linearly to ``final`` over the last ``cooldown_steps``: a run can be
     lengthened from a checkpoint before its cooldown without having decided its length at the start.

@@ -1,4 +1,4 @@
-"""One optimisation step: forward, the three losses, backward, clipping, Adam (paper, sections III-C and III-D)."""
+"""One optimisation step: forward, the three losses, backward, clipping, Adam (paper, section III-C)."""
 
 from __future__ import annotations
 

@@ -17,6 +17,7 @@ onnx = pytest.importorskip("onnx")
 cv2 = pytest.importorskip("cv2")
 import export.to_onnx  # noqa: E402
 from edge.cli.main import app  # noqa: E402
+from edge.detector.ablations import ablated  # noqa: E402
 from edge.detector.network import StereoDetector  # noqa: E402
 from edge.detector.presets import PRESETS, Preset  # noqa: E402
 from edge.detector.weights import save_weights  # noqa: E402
@@ -170,3 +171,21 @@ def test_wrong_input_is_one_line_and_exit_2(
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1 and said in lines[0]
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_ablated_weights_need_their_ablations(
+    small: Preset, source: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = ("naive-channel-expansion", "no-scale-8", "no-scale-16", "no-anchor-prior")
+    chosen = ablated(small, names)
+    folder = tmp_path / "run"
+    folder.mkdir()
+    save_weights(folder / "weights.safetensors", StereoDetector(chosen).state_dict(), metadata={"preset": chosen.name})
+    write_priors(folder / "priors.npz", small.classes, some_priors(small))
+    assert export_small(folder, tmp_path / "model", source) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    flags = [part for name in names for part in ("--ablate", name)]
+    assert export_small(folder, tmp_path / "model", source, "--frames", "1", *flags) == 0
+    manifest = open_model_directory(tmp_path / "model").manifest
+    assert manifest.preset == chosen.name and not manifest.anchors.depth_by_prior

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +16,11 @@ from edge.detector.blocks import BasicBlock, GhostExpansion  # noqa: E402
 from edge.detector.build import build_detector  # noqa: E402
 from edge.detector.network import StereoDetector  # noqa: E402
 from edge.detector.presets import Preset, PresetError, preset  # noqa: E402
+from edge.detector.weights import check_ablations, save_weights  # noqa: E402
+from edge.training.assign import assign  # noqa: E402
+from edge.training.ground_truth import GroundTruth  # noqa: E402
 from runtime.anchors import anchor_grid, usable_by_class  # noqa: E402
+from runtime.contracts.errors import CheckpointError  # noqa: E402
 from runtime.contracts.manifest import AnchorPriors  # noqa: E402
 
 pytestmark = pytest.mark.torch
@@ -124,6 +129,28 @@ def test_the_right_view_reaches_the_ablated_head_through_the_scales_that_are_lef
     assert not torch.equal(first, second)
 
 
+def test_without_the_prior_targets_are_depths_alone() -> None:
+    base = preset("paper")
+    grid = anchor_grid(base.anchors, (96, 320))
+    mean = np.full((2, base.anchors.scale_count, len(base.anchors.ratios), 6), 20.0, np.float32)
+    priors = AnchorPriors(mean, np.full_like(mean, 4.0))
+    middle = len(grid.boxes) // 2
+    box = np.array([[*grid.boxes[middle], *grid.center_xy[middle], 12.0, 1.6, 1.5, 3.9, 0.3]], np.float32)
+    nothing = np.zeros((0, 4), np.float32)
+    truth = GroundTruth(box, np.zeros(1, np.int64), nothing, nothing)
+    everything = np.ones(len(grid.boxes), bool)
+    targets = {}
+    for name, chosen in (("with", base), ("without", ablated(base, ["no-anchor-prior"]))):
+        by_prior = chosen.anchors.depth_by_prior
+        targets[name] = assign(truth, grid, everything, priors=priors, depth_by_prior=by_prior).deltas
+    depth = 6
+    np.testing.assert_allclose(targets["with"][:, depth], (12.0 - 20.0) / 4.0, rtol=1e-6)
+    np.testing.assert_allclose(targets["without"][:, depth], -np.log(12.0), rtol=1e-6)
+    rest = [column for column in range(12) if column != depth]
+    np.testing.assert_array_equal(targets["with"][:, rest], targets["without"][:, rest])
+    assert not ablated(base, ["no-anchor-prior"]).manifest().anchors.depth_by_prior  # decoding asks the manifest
+
+
 def test_disparity_is_supervised_by_what_the_name_says() -> None:
     sources = {name: ablated(preset("paper"), [name]).training.disparity_source for name in ABLATIONS}
     assert preset("paper").training.disparity_source == "block_matching"
@@ -141,3 +168,15 @@ def test_without_the_filter_every_anchor_is_usable() -> None:
     assert 0 < filtered.sum() < filtered.size
     everything = usable_by_class(grid, chosen.anchors, priors=priors, P2=P2)
     assert everything.shape == filtered.shape and everything.all()
+
+
+def test_weights_are_taken_for_the_ablations_that_they_were_trained_with(tmp_path: Path) -> None:
+    state = {"head.bias": torch.zeros(3)}
+    plain, without = preset("compact"), ablated(preset("compact"), ["no-anchor-prior"])
+    for chosen in (plain, without):
+        save_weights(tmp_path / f"{chosen.name}.safetensors", state, metadata={"preset": chosen.name})
+        check_ablations(tmp_path / f"{chosen.name}.safetensors", chosen)
+    with pytest.raises(CheckpointError, match="give --ablate no-anchor-prior"):
+        check_ablations(tmp_path / f"{without.name}.safetensors", plain)
+    with pytest.raises(CheckpointError, match="give no --ablate"):
+        check_ablations(tmp_path / f"{plain.name}.safetensors", without)
