@@ -34,6 +34,10 @@ def fitted_preset(preset: Preset, checkpoint: Checkpoint, classes: tuple[str, ..
     Raises:
         CheckpointError: names or shapes that fit neither; other anchors than the preset's; no names for the classes.
     """
+    if classes is not None and (len(set(classes)) != len(classes) or not all(classes)):
+        raise CheckpointError(
+            f"classes are {', '.join(map(repr, classes))}, expected each name once; name them as Car,Pedestrian"
+        )
     named = preset if classes is None else replace(preset, classes=classes)
     if not checkpoint.official:
         return named

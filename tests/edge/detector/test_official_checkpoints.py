@@ -135,6 +135,12 @@ def test_other_class_counts_need_their_names(classes: tuple[str, ...]) -> None:
         fitted_preset(PAPER, checkpoint)
 
 
+@pytest.mark.parametrize("classes", [("Car", ""), ("Car", "Car")])
+def test_class_names_that_name_nothing(classes: tuple[str, ...]) -> None:
+    with pytest.raises(CheckpointError, match="each name once"):
+        fitted_preset(PAPER, shapes_alone(PAPER), classes)
+
+
 def test_other_anchors_are_refused() -> None:
     two_ratios = dataclasses.replace(PAPER, anchors=dataclasses.replace(PAPER.anchors, ratios=(0.5, 1.0)))
     with pytest.raises(CheckpointError, match=r"384 channels in bbox_head\.reg_feature_extraction\.3.*48 anchors"):
