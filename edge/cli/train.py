@@ -68,7 +68,7 @@ def train_command(
     average_decay: Annotated[
         float,
         typer.Option(min=0, max=1, help="Of the average of the weights, which is what is saved; 0 saves the last."),
-    ] = 0.999,
+    ] = 0.99,
     freeze_norms: Annotated[
         bool, typer.Option("--freeze-norms", help="Keep the statistics of all batch norms, for small batches.")
     ] = False,
