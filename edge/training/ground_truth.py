@@ -1,4 +1,4 @@
-"""Labelled objects as the head sees them: boxes of the network image with depth, size and angle."""
+"""Labelled objects as the head sees them: boxes of the network image with depth, size, angle (paper, III-A)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a labelled stereo frame to one training sample."""
+"""From a labelled stereo frame to one training sample (paper, section III-A2: augmentation)."""
 
 from __future__ import annotations
 
