@@ -131,7 +131,7 @@ def test_dont_care_excuses_nothing_on_the_ground_plane():
     assert evaluate(labels, found).ap()["Car"]["bev"]["0.7"]["R11"][1] == pytest.approx(50.0 / 11)
 
 
-@pytest.mark.parametrize("case", ["handmade", "noise_small"])
+@pytest.mark.parametrize("case", ["empty_detections", "handmade", "noise_small"])
 def test_golden_cases(case: str):
     golden = json.loads((GOLDEN / f"{case}.json").read_text(encoding="utf-8"))
     got = flat(evaluate(*frames_of(golden["labels"], golden["detections"])).ap())

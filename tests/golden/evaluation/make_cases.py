@@ -13,7 +13,7 @@ import json
 import sys
 from pathlib import Path
 
-CASES = ("handmade", "noise_small")
+CASES = ("empty_detections", "handmade", "noise_small")
 METRICS = {"bbox": "2d", "bev": "bev", "3d": "3d", "aos": "aos"}
 
 
