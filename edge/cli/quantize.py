@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 DEFAULT_FRAMES = 100
 NOISE_FRAMES, RANKING_FRAMES, TIMED_FRAMES, TIMED_REPEAT = 2, 2, 4, 3
+REFINEMENTS = 4
+"""Layers given back that are tried in INT8 again; each costs one run over the validation frames."""
 REPORT_FRAMES = 20
 """Frames of the bundled drive that the report measures; a --validation source is measured whole."""
 
@@ -51,6 +53,10 @@ def quantize_command(
     max_drop: Annotated[
         float | None, typer.Option(help="Points of 3D AP that may be lost; layers go back to float until it holds.")
     ] = None,
+    max_disagreement: Annotated[
+        float | None,
+        typer.Option(help="The budget without labels: per cent of detections that may differ from the float model's."),
+    ] = None,
     no_cache: Annotated[bool, typer.Option("--no-cache", help="Neither use nor keep earlier calibrations.")] = False,
     allow_other_rig: Annotated[
         bool, typer.Option("--allow-other-rig", help="Accept a camera far from those of the training data.")
@@ -70,6 +76,13 @@ def quantize_command(
 
     if max_drop is not None and validation is None:
         raise QuantizeError("--max-drop: found no --validation; expected labelled frames to measure on; name a source")
+    if max_disagreement is not None and (validation is None or max_drop is not None):
+        found_instead = "no --validation" if validation is None else "--max-drop, too"
+        raise QuantizeError(
+            f"--max-disagreement: found {found_instead}; expected a source to measure on, and one budget; "
+            "--max-drop is for labelled frames"
+        )
+    budget = max_drop if max_drop is not None else max_disagreement
     began_secs = time.perf_counter()
     directory = open_model_directory(model)
     recipe = recipe_for_target(target or detect_target())
@@ -113,14 +126,15 @@ def quantize_command(
 
     search = None
     given_back: tuple[str, ...] = ()
-    if max_drop is not None and validation is not None:
+    if budget is not None and validation is not None:
         search = _search(
             prepared,
             found,
             write,
             out=out,
             validation=validation,
-            max_drop=max_drop,
+            max_drop=budget,
+            labelled=max_drop is not None,
             ranges=ranges,
             allow_other_rig=allow_other_rig,
         )
@@ -145,9 +159,10 @@ def quantize_command(
         f"wrote {out} in {time.perf_counter() - began_secs:.0f} s; report in {out / 'report.md'}", soft_wrap=True
     )
     if search is not None and not search.holds:
+        option = "--max-drop" if max_drop is not None else "--max-disagreement"
         raise GoalMissedError(
-            f"--max-drop: found {search.best.drop_points:+.2f} points lost by the best of {len(search.steps)} models; "
-            f"expected at most {max_drop:g}; the best is kept in {out}: allow more, or train the model longer"
+            f"{option}: found {search.best.drop_points:+.2f} points lost by the best of {len(search.steps)} models; "
+            f"expected at most {budget:g}; the best is kept in {out}: allow more, or train the model longer"
         )
 
 
@@ -176,6 +191,7 @@ def _search(
     out: Path,
     validation: str,
     max_drop: float,
+    labelled: bool,
     ranges: Mapping[str, Range],
     allow_other_rig: bool,
 ) -> BudgetResult:
@@ -185,7 +201,7 @@ def _search(
     from calib.frames import chosen_frames, frame_feeds
     from edge.evaluation.measure import assess, measure, measurement
     from edge.evaluation.run import run_model
-    from quantize.budget import ap_drop_points, search_budget
+    from quantize.budget import ap_drop_points, disagreement_points, search_budget
     from quantize.sensitivity import own_noise
     from runtime.sources.factory import open_sequence
 
@@ -194,12 +210,13 @@ def _search(
         _say(f"measuring the float model on {len(source)} frames")
         reference = assess(run_model(prepared.source.path, source, allow_other_rig=allow_other_rig, warn=_warn))
         before = measurement(reference)
-        ap_drop_points(before, before)  # frames without labels are said before minutes go by
+        if labelled:
+            ap_drop_points(before, before)  # frames without labels are said before minutes go by
         out.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as folder, _progress() as progress:
 
             def build(given_back: Sequence[str]) -> Path:
-                place = Path(folder) / f"{len(given_back)}-in-float"
+                place = Path(folder) / f"{len(given_back)}-in-float-{len(list(Path(folder).iterdir()))}"
                 write(place, given_back)
                 return place
 
@@ -215,9 +232,10 @@ def _search(
             return search_budget(
                 build,
                 lambda place: measure(place, source, reference, allow_other_rig=allow_other_rig),
-                drop_points=lambda after: ap_drop_points(before, after),
+                drop_points=(lambda after: ap_drop_points(before, after)) if labelled else disagreement_points,
                 ranking=rank,
                 max_drop=max_drop,
+                refinements=REFINEMENTS,
                 tell=_say,
             )
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 
-from quantize.budget import ap_drop_points, search_budget
+from quantize.budget import ap_drop_points, disagreement_points, search_budget
 from quantize.errors import QuantizeError
-from runtime.contracts.measurement import Measurement
+from runtime.contracts.measurement import Agreement, Measurement
 
 COSTS = {"a": 4.0, "b": 2.0, "c": 1.0, "d": 0.5, "e": 0.25}
 ORDER = list(COSTS)
@@ -97,3 +99,62 @@ def test_drop_is_of_the_class_that_lost_most_at_its_loosest_overlap() -> None:
 def test_frames_without_objects_cannot_hold_a_budget(empty) -> None:
     with pytest.raises(QuantizeError, match="no labelled objects"):
         ap_drop_points(empty, empty)
+
+
+class Timed(World):
+    """Layers in float take time; `b` was ranked high and hardly matters."""
+
+    MS: ClassVar = {"a": 3.0, "b": 9.0, "c": 1.0, "d": 1.0, "e": 1.0}
+    LOST: ClassVar = {"a": 4.0, "b": 0.1, "c": 2.0, "d": 0.2, "e": 0.1}
+
+    def measure(self, path: Path) -> Measurement:
+        floats = str(path).split(",")
+        lost = sum(cost for name, cost in self.LOST.items() if name not in floats)
+        ms = 10 + sum(cost for name, cost in self.MS.items() if name in floats)
+        return dataclasses.replace(record(80.0 - lost), latency_ms={"inference": ms})
+
+
+def timed_search(refinements: int, lines: list[str] | None = None):
+    world = Timed()
+    return search_budget(
+        world.build,
+        world.measure,
+        drop_points=lambda after: ap_drop_points(REFERENCE, after),
+        ranking=lambda: ORDER,
+        max_drop=0.5,
+        refinements=refinements,
+        tell=(lines if lines is not None else []).append,
+    )
+
+
+def test_a_layer_that_the_metric_does_not_need_goes_back_to_int8() -> None:
+    assert timed_search(0).best.given_back == ("a", "b", "c")
+    best = timed_search(2).best
+    assert best.given_back == ("a", "c")
+    assert best.inference_ms == 14.0
+
+
+def test_the_front_holds_what_nothing_beats_in_both() -> None:
+    front = timed_search(2).front
+    found = [step.given_back for step in front]
+    assert found == [(), ("c",), ("a",), ("a", "c"), ("a", "b", "c"), ("a", "b", "c", "d")]
+    assert ("a", "b") in [step.given_back for step in timed_search(2).steps], "slower and worse than a and c"
+    assert [step.drop_points for step in front] == sorted((step.drop_points for step in front), reverse=True)
+
+
+def test_each_step_says_what_it_costs_in_time() -> None:
+    lines: list[str] = []
+    timed_search(0, lines)
+    assert lines[0].endswith("10.0 ms")
+    assert lines[1].endswith("13.0 ms (+3.0)")
+
+
+@pytest.mark.parametrize(("share", "points"), [(1.0, 0.0), (0.97, 3.0), (0.0, 100.0)])
+def test_disagreement_is_what_was_not_matched(share: float, points: float) -> None:
+    compared = dataclasses.replace(record(1.0), agreement=Agreement(share, 10, 10, 0))
+    assert disagreement_points(compared) == pytest.approx(points)
+
+
+def test_disagreement_of_what_was_not_compared_is_refused() -> None:
+    with pytest.raises(QuantizeError, match="no comparison"):
+        disagreement_points(record(1.0))
