@@ -57,8 +57,8 @@ def test_two_processes_equal_one_with_the_joint_batch(toy: ModuleType, tmp_path:
         [sys.executable, *launch], env=environment, capture_output=True, text=True, check=False, timeout=SECONDS
     )
     assert ran.returncode == 0, ran.stderr
-    for method in toy.METHODS:
-        compare(toy, alone / method, together / method)
+    for name in (*toy.METHODS, toy.EMPTY):
+        compare(toy, alone / name, together / name)
 
 
 def compare(toy: ModuleType, alone: Path, together: Path) -> None:
@@ -79,7 +79,8 @@ def compare(toy: ModuleType, alone: Path, together: Path) -> None:
         for name in expected.files
         if name.startswith("parameter/1/") and not np.array_equal(expected[name], expected[name.replace("/1/", "/3/")])
     ]
-    assert any("backbone" in name for name in moved) and any("disparity_branch" in name for name in moved)
+    assert any("backbone" in name for name in moved)
+    assert any("disparity_branch" in name for name in moved) == (alone.name != toy.EMPTY)  # no objects, no disparity
     # the first process alone writes
     written = sorted(path.name for path in together.iterdir())
     assert written == ["checkpoint.pt", "events", "log.csv", "result-0-of-2.npz", "result-1-of-2.npz"]

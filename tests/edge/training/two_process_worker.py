@@ -27,6 +27,7 @@ from runtime.contracts.manifest import AnchorPriors
 from runtime.contracts.objects import Objects3D
 
 STEPS, BATCH = 3, 4
+EMPTY = "empty"
 CARS_A_FRAME = (3, 0, 1, 2, 1, 0)  # shares differ in their objects, so that the normalisers matter
 CAR = "Car 0.00 0 -1.58 {x} 173.33 {x2} 200.12 1.65 1.67 3.64 -0.65 1.71 26.70 -1.59\n"
 P2 = np.array([[721.5377, 0, 609.5593, 44.85728], [0, 721.5377, 172.854, 0.2163791], [0, 0, 1, 0.002745884]])
@@ -54,6 +55,13 @@ class DrawnFrames:
         )
 
 
+class EmptyFrames(DrawnFrames):
+    """The same pairs without objects: they teach background alone."""
+
+    def labels(self, index: int) -> Objects3D:
+        return parse_labels("")
+
+
 def tiny_preset() -> Preset:
     """The compact preset's structure, 16 channels wide, without dropout."""
     compact = preset("compact")
@@ -75,15 +83,17 @@ def run(out: Path) -> None:
     with process_group("cpu") as (ranks, device):
         for method in METHODS:  # their losses have other normalisers
             (out / method).mkdir(exist_ok=True)
-            train_with(with_method(tiny_preset(), method), out / method, ranks=ranks, device=device)
+            train_with(with_method(tiny_preset(), method), DrawnFrames(), out / method, ranks=ranks, device=device)
+        (out / EMPTY).mkdir(exist_ok=True)
+        train_with(with_method(tiny_preset(), "paper"), EmptyFrames(), out / EMPTY, ranks=ranks, device=device)
 
 
-def train_with(chosen: Preset, out: Path, *, ranks: Ranks, device: str) -> None:
+def train_with(chosen: Preset, source: DrawnFrames, out: Path, *, ranks: Ranks, device: str) -> None:
     """One of the runs."""
     torch.set_num_threads(1)
     torch.manual_seed(5)
     detector = StereoDetector(chosen)
-    frames = MixedFrames([DrawnFrames()], [1], maker=SampleMaker(chosen, plain_priors(chosen)), seed=2)  # type: ignore[list-item]
+    frames = MixedFrames([source], [1], maker=SampleMaker(chosen, plain_priors(chosen)), seed=2)  # type: ignore[list-item]
     seen: dict[str, np.ndarray] = {}
 
     def keep(step: int, losses: dict[str, float]) -> None:
