@@ -90,7 +90,19 @@ def _processor() -> list[Finding]:
     else:
         slow = "no INT8 dot products: INT8 gains less here; quantize with --target generic or x86-avx2"
         rows.append(Finding("instructions", " ".join(cpu.flags) or "none known", State.OPTIONAL, slow))
-    return rows
+    return [*rows, _target()]
+
+
+def _target() -> Finding:
+    """What ``edge quantize`` takes here when it is told nothing, and whether that is known to be fast."""
+    from quantize.recipe import detect_target, recipe_for_target
+
+    recipe = recipe_for_target(detect_target())
+    found = f"{recipe.target}: {recipe.weight_bits}-bit weights, {recipe.activation_type} activations"
+    if recipe.verified == "measured" and recipe.target != "generic":
+        return Finding("INT8 target", found)
+    slow = "INT8 may be slower than float32 here: compare both with edge bench before you ship"
+    return Finding("INT8 target", found, State.OPTIONAL, slow)
 
 
 def _native_library() -> list[Finding]:
