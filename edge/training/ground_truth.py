@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,9 +45,12 @@ class GroundTruth:
 def outline_boxes(objects: Objects3D, P2: FloatArray) -> FloatArray:
     """(N, 4) bounding boxes of the eight projected corners, not cut at the image (official behaviour).
 
+    The boxes are turned as decoding turns them, ``alpha + atan2(X + t_x / f_x, Z)``, not by the label's yaw.
     Corners nearer than half a metre, or behind the camera, are taken at that depth.
     """
-    corners = box_corners(objects.center_in_camera, objects.size_hwl, objects.yaw_rad)
+    center = objects.center_in_camera
+    turned_rad = objects.alpha_rad + np.arctan2(center[:, 0] + P2[0, 3] / P2[0, 0], center[:, 2])
+    corners = box_corners(center, objects.size_hwl, turned_rad)
     corners[..., 2] = np.maximum(corners[..., 2], MIN_CORNER_DEPTH_M)
     pixels, _ = project_to_image(P2, corners)
     return np.concatenate([pixels.min(axis=1), pixels.max(axis=1)], axis=1)
@@ -101,11 +104,11 @@ def ground_truth(
     )
 
 
-def mirror_geometry(geometry: StereoGeometry) -> StereoGeometry:
-    """The pair flipped left to right, with the cameras' roles exchanged."""
+def mirror_geometry(geometry: StereoGeometry, *, exchange: bool = True) -> StereoGeometry:
+    """The pair flipped left to right, with the cameras' roles exchanged; or each alone, for a single view."""
     width = geometry.image_size_wh[0]
     flipped = []
-    for matrix in (geometry.P3, geometry.P2):
+    for matrix in (geometry.P3, geometry.P2) if exchange else (geometry.P2, geometry.P3):
         P = matrix.copy()
         P[0, 3] = -P[0, 3]
         P[0, 2] = width - 1 - P[0, 2]
@@ -121,5 +124,14 @@ def mirror_objects(objects: Objects3D, mirrored_P2: FloatArray) -> Objects3D:
     center = objects.center_in_camera * np.array([-1.0, 1.0, 1.0])
     yaw = wrap_angle_rad(np.pi - objects.yaw_rad)
     values = {name: getattr(objects, name) for name in objects.__dataclass_fields__}
-    alpha = wrap_angle_rad(yaw - np.arctan2(center[:, 0] + mirrored_P2[0, 3] / mirrored_P2[0, 0], center[:, 2]))
-    return Objects3D(**{**values, "center_in_camera": center, "yaw_rad": yaw, "alpha_rad": alpha})
+    return alpha_of_yaw(Objects3D(**{**values, "center_in_camera": center, "yaw_rad": yaw}), mirrored_P2)
+
+
+def alpha_of_yaw(objects: Objects3D, P2: FloatArray) -> Objects3D:
+    """Objects whose alpha is what decoding turns into their yaw: ``yaw - atan2(X + t_x / f_x, Z)``.
+
+    Labels count alpha from the reference camera, decoding from the left one; the official code recomputes it for mono.
+    """
+    center = objects.center_in_camera
+    alpha = wrap_angle_rad(objects.yaw_rad - np.arctan2(center[:, 0] + P2[0, 3] / P2[0, 0], center[:, 2]))
+    return replace(objects, alpha_rad=alpha)

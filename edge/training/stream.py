@@ -16,6 +16,7 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 
 from edge.training.distributed import ALONE, Ranks
 from edge.training.losses import ImageTargets
+from edge.training.point_clouds import points_in_camera
 from edge.training.samples import Sample, SampleMaker
 from runtime.contracts.errors import SourceError
 from runtime.sources.base import FrameSequence
@@ -94,7 +95,8 @@ class MixedFrames(Dataset[Sample]):
         objects = source.labels(int(row))
         assert objects is not None
         draws = np.random.RandomState(np.random.default_rng([self._seed, position]).integers(2**31))
-        return self._maker.make(source[int(row)], objects, draws)
+        points = points_in_camera(source, int(row)) if self._maker.wants_points else None
+        return self._maker.make(source[int(row)], objects, draws, points_in_camera=points)
 
 
 class Positions(Sampler[int]):
