@@ -11,7 +11,7 @@ from pathlib import Path
 from runtime.contracts.errors import EdgeError, OutputError
 from runtime.contracts.manifest import MANIFEST_FILE, MODEL_FILE, PRIORS_FILE, parse_manifest
 
-WRITTEN_FILES = (MODEL_FILE, MANIFEST_FILE, PRIORS_FILE, "card.md", "report.md", "report.json")
+WRITTEN_FILES = (MODEL_FILE, MANIFEST_FILE, PRIORS_FILE, "card.md", "report.md", "report.json", "budget.png")
 """What a model directory may hold and still be replaced by a newer one."""
 
 

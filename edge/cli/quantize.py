@@ -150,6 +150,7 @@ def quantize_command(
         method=method.value,
         validation=validation,
         search=search,
+        budget=budget,
         allow_other_rig=allow_other_rig,
     )
     console = report_console()
@@ -251,6 +252,7 @@ def _report(
     method: str,
     validation: str | None,
     search: BudgetResult | None,
+    budget: float | None,
     allow_other_rig: bool,
 ) -> list[Any]:
     """Measures, writes report.md and report.json into the model directory, and gives the tables to show."""
@@ -325,7 +327,19 @@ def _report(
         ),
     )
     write_quantisation_report(written.path, record, measurements, source=name)
+    if search is not None and budget is not None:
+        _plot(written.path, record.budget, budget)
     return [*report_tables(measurements), cost_table(record), noise_table(record)]
+
+
+def _plot(folder: Path, rows: Sequence[Any], budget: float) -> None:
+    """The picture of the search, where matplotlib is there to draw it; the table says the same."""
+    from edge.report.pareto import BUDGET_PLOT, write_budget_plot
+
+    try:
+        write_budget_plot(folder / BUDGET_PLOT, rows, max_drop=budget)
+    except ImportError:
+        _warn("no picture of the search: matplotlib is missing; pip install '.[report]'")
 
 
 def _measure(paths: Sequence[Path], source: Any, *, allow_other_rig: bool) -> list[Measurement]:

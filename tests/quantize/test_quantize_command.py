@@ -112,6 +112,7 @@ def test_a_budget_is_kept_or_missed_with_the_best_named(arguments, drives, tmp_p
     out = tmp_path / "wide"
     assert run(*arguments, "--out", out, *validation, "--max-drop", 100) == 0
     (step,) = json.loads((out / "report.json").read_text(encoding="utf-8"))["quantisation"]["budget"]
+    assert (out / "budget.png").stat().st_size > 0
     assert step["given_back"] == []
     assert step["holds"]
     drop = step["drop_points"]
