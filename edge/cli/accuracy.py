@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from runtime.contracts.measurement import Measurement
     from runtime.sources.base import FrameSequence
 
-DETECTIONS_FOLDER, PICTURES_FOLDER = "detections", "pictures"
+DETECTIONS_FOLDER = "detections"
 PICTURES = 6
 
 
@@ -98,6 +98,7 @@ def _write_folder(
 ) -> None:
     """Detections as KITTI text, pictures of differences, report.md and report.json."""
     from edge.evaluation.depth_error import depth_errors
+    from edge.report.changes import write_pictures
     from edge.report.document import model_names
     from edge.report.files import write_text
     from edge.report.model_report import write_model_report
@@ -115,7 +116,16 @@ def _write_folder(
         errors.append(depth_errors(labels, found, score=item.run.score_display))
     pictures: list[tuple[str, str]] = []
     for name, item in zip(names[1:], assessments[1:], strict=True):
-        pictures += _write_pictures(out, frames, reference=assessments[0], other=item, names=(names[0], name))
+        written = write_pictures(
+            out,
+            frames,
+            reference=assessments[0].run,
+            other=item.run,
+            names=(names[0], name),
+            limit=PICTURES,
+            subfolder=_flat(name),
+        )
+        pictures += [(caption, place) for _, caption, place in written]
     write_model_report(
         out,
         records,
@@ -124,28 +134,6 @@ def _write_folder(
         depth_errors=errors,
         pictures=pictures,
     )
-
-
-def _write_pictures(
-    out: Path, frames: FrameSequence, *, reference: Assessment, other: Assessment, names: tuple[str, str]
-) -> list[tuple[str, str]]:
-    """Pictures of the frames that differ most; returns caption and path of each."""
-    from edge.report.differences import compare_frame, draw_differences, most_different
-    from edge.report.files import write_picture
-
-    first, second = reference.run, other.run
-    differences = [
-        compare_frame(left.above(first.score_display), right.above(second.score_display))
-        for left, right in zip(first.detections, second.detections, strict=True)
-    ]
-    written = []
-    for index in most_different(differences, PICTURES):
-        item = differences[index]
-        place = Path(PICTURES_FOLDER) / _flat(names[1]) / f"{_flat(first.frame_ids[index])}.jpg"
-        write_picture(out / place, draw_differences(frames[index], item, names))
-        caption = f"{names[1]}, frame {first.frame_ids[index]}: {item.lost} lost, {item.new} new, {item.moved} moved"
-        written.append((caption, place.as_posix()))
-    return written
 
 
 def _flat(name: str) -> str:

@@ -22,12 +22,15 @@ class DepthError:
         median_abs_m: median of the absolute error in metres.
         bias_m: median of the signed error in metres; positive: seen too far away.
         median_share: median of the absolute error over the labelled depth.
+        median_centre_m, mean_centre_m: 3D distance between the two centres in metres.
     """
 
     found: int
     median_abs_m: float
     bias_m: float
     median_share: float
+    median_centre_m: float
+    mean_centre_m: float
 
 
 def depth_errors(
@@ -43,28 +46,32 @@ def depth_errors(
         class name -> band (``all``, ``0-15``, ...) -> error; classes and bands without a pair are absent.
     """
     names: list[str] = []
-    depths, errors = [np.zeros(0)], [np.zeros(0)]
+    depths, errors, shifts = [np.zeros(0)], [np.zeros(0)], [np.zeros(0)]
     for truth, found in zip(labels, detections, strict=True):
         found = found.above(score)
         pairs = pair_up(found, truth)
         depth = truth.center_in_camera[pairs.second, DEPTH_AXIS]
         depths.append(depth)
         errors.append(found.center_in_camera[pairs.first, DEPTH_AXIS] - depth)
+        offset = found.center_in_camera[pairs.first] - truth.center_in_camera[pairs.second]
+        shifts.append(np.linalg.norm(offset, axis=1))
         names += [found.class_names[index] for index in found.class_id[pairs.first]]
-    depth_m, error_m = np.concatenate(depths), np.concatenate(errors)
+    depth_m, error_m, centre_m = np.concatenate(depths), np.concatenate(errors), np.concatenate(shifts)
     of_class = np.array(names, dtype=str)
     result: dict[str, dict[str, DepthError]] = {}
     for name in dict.fromkeys(names):
         rows = np.flatnonzero(of_class == name)
         bands = by_band(depth_m[rows], rows)
-        result[name] = {band: _summary(error_m[part], depth_m[part]) for band, part in bands.items()}
+        result[name] = {band: _summary(error_m[part], depth_m[part], centre_m[part]) for band, part in bands.items()}
     return result
 
 
-def _summary(error_m: np.ndarray, depth_m: np.ndarray) -> DepthError:
+def _summary(error_m: np.ndarray, depth_m: np.ndarray, centre_m: np.ndarray) -> DepthError:
     return DepthError(
         found=len(error_m),
         median_abs_m=float(np.median(np.abs(error_m))),
         bias_m=float(np.median(error_m)),
         median_share=float(np.median(np.abs(error_m) / np.maximum(np.abs(depth_m), 1e-6))),
+        median_centre_m=float(np.median(centre_m)),
+        mean_centre_m=float(np.mean(centre_m)),
     )

@@ -49,7 +49,11 @@ def report_tables(
     agreements = [(name, item.agreement) for name, item in others if item.agreement is not None]
     tables.append(agreement_table(agreements, title=f"Agreement with {names[0] if names else 'the reference'}"))
     for name, errors in zip(names, depth_errors, strict=False):
-        tables.append(depth_table(errors, title=f"{name}: depth error of found objects by distance"))
+        tables.append(
+            depth_table(
+                errors, title=f"{name}: depth and centre error of found objects against the labels, by distance"
+            )
+        )
     latencies = [(name, item.latency_ms) for name, item in zip(names, measurements, strict=True) if item.latency_ms]
     tables.append(latency_table(latencies, title="Latency in ms a frame", note=ABOUT_LATENCY))
     return [table for table in tables if table.rows]
@@ -65,11 +69,14 @@ def depth_table(errors: dict[str, dict[str, DepthError]], *, title: str) -> Tabl
             f"{item.median_abs_m:.2f}",
             f"{100 * item.median_share:.1f} %",
             f"{item.bias_m:+.2f}",
+            f"{item.median_centre_m:.2f}",
+            f"{item.mean_centre_m:.2f}",
         )
         for name, bands in errors.items()
         for band, item in bands.items()
     )
-    return Table(title, ("class", "distance m", "found", "median m", "median share", "bias m"), rows)
+    columns = ("class", "distance m", "found", "median m", "median share", "bias m", "centre median m", "centre mean m")
+    return Table(title, columns, rows)
 
 
 def report_text(

@@ -33,6 +33,15 @@ def write_text(path: Path, text: str) -> None:
     _write(path, text.encode("utf-8"))
 
 
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write content as it is.
+
+    Raises:
+        OutputError: the place cannot be written.
+    """
+    _write(path, content)
+
+
 def write_picture(path: Path, image: NDArray[np.uint8]) -> None:
     """Write a picture, (H, W, 3) uint8 BGR, as JPEG.
 

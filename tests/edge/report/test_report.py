@@ -106,14 +106,14 @@ def test_names_are_as_short_as_they_can_be(paths: list[str], names: list[str]):
 
 
 def test_files_hold_the_same_figures(tmp_path: Path):
-    error = {"Car": {"all": DepthError(3, 0.5, -0.1, 0.02)}}
+    error = {"Car": {"all": DepthError(3, 0.5, -0.1, 0.02, 0.6, 0.7)}}
     write_model_report(
         tmp_path, labelled(), title="int8", source="kitti-object:x", facts={"recipe": "w8a8"}, depth_errors=[error]
     )
     text = (tmp_path / "report.md").read_text()
     record = json.loads((tmp_path / "report.json").read_text())
     assert "- recipe: w8a8" in text
-    assert "| Car | all | 3 | 0.50 | 2.0 % | -0.10 |" in text
+    assert "| Car | all | 3 | 0.50 | 2.0 % | -0.10 | 0.60 | 0.70 |" in text
     assert record["models"][0]["depth_error"]["Car"]["all"]["found"] == 3
     assert record["against_first"][0]["detections"] == {"reference": 10, "other": 10, "matched": 9}
     assert record["facts"] == {"recipe": "w8a8"}
