@@ -15,7 +15,7 @@ torch = pytest.importorskip("torch", reason="the torch workbench is not installe
 from edge.detector.network import StereoDetector  # noqa: E402
 from edge.detector.presets import HeadShape, NeckShape, NetworkShape, Preset, preset  # noqa: E402
 from edge.detector.weights import PRIORS_KEY, check_priors, load_weights, priors_digest, save_weights  # noqa: E402
-from edge.training.ground_truth import mirror_geometry, mirror_objects, outline_boxes  # noqa: E402
+from edge.training.ground_truth import alpha_of_yaw, mirror_geometry, mirror_objects, outline_boxes  # noqa: E402
 from edge.training.loop import train  # noqa: E402
 from edge.training.run_record import RunSettings, check_same_run, write_settings  # noqa: E402
 from edge.training.samples import SampleMaker  # noqa: E402
@@ -193,7 +193,7 @@ def test_mirrored_object_projects_to_the_mirrored_place() -> None:
     mirrored = mirror_geometry(geometry)
     turned = mirror_objects(objects, mirrored.P2)
     # the mirrored left view is the old right view seen in a mirror
-    right = outline_boxes(objects, geometry.P3)[0]
+    right = outline_boxes(alpha_of_yaw(objects, geometry.P3), geometry.P3)[0]
     left = outline_boxes(turned, mirrored.P2)[0]
     np.testing.assert_allclose(left, [1241 - right[2], right[1], 1241 - right[0], right[3]], atol=0.2)
     assert mirrored.baseline_m == pytest.approx(geometry.baseline_m)
