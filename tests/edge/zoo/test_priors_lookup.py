@@ -126,3 +126,16 @@ def test_bundled_tables_are_the_train_labels(kitti_dir: Path, tmp_path: Path) ->
         found = find_priors(PRESETS[name], tmp_path / "weights.pth", None)
         np.testing.assert_allclose(found.mean[0, 0, 0, 3:], sizes.mean(axis=0), rtol=SIZE_TOLERANCE)
         np.testing.assert_allclose(found.std[0, 0, 0, 3:], sizes.std(axis=0), rtol=SIZE_TOLERANCE)
+
+
+@pytest.mark.torch
+@pytest.mark.parametrize("name", BUNDLED)
+def test_a_run_takes_the_bundled_table_where_none_is_given(tmp_path: Path, name: str) -> None:
+    pytest.importorskip("torch", reason="the torch workbench is not installed")
+    from edge.training.start import run_priors
+
+    found = run_priors(tmp_path, PRESETS[name], [], given=None)
+    expected = find_priors(PRESETS[name], tmp_path / "elsewhere" / "weights.pth", None)
+    np.testing.assert_array_equal(found.mean, expected.mean)
+    assert (tmp_path / "priors.npz").is_file()  # the run keeps them beside its weights
+    np.testing.assert_array_equal(run_priors(tmp_path, PRESETS[name], [], given=None).std, expected.std)
