@@ -65,6 +65,7 @@ def export_command(
     from edge.detector.presets import preset as find_preset
     from edge.detector.weights import check_ablations, check_priors, load_weights
     from edge.samples import calibration_source
+    from edge.training.methods import with_method_of
     from edge.zoo.card import model_card
     from edge.zoo.priors import BUNDLED_ORIGIN, find_priors, official_classes, uses_bundled_priors
     from export.package import write_model_directory
@@ -78,7 +79,7 @@ def export_command(
 
     console = Console(stderr=True, highlight=False)
     weights = read_checkpoint(checkpoint)
-    named = ablated(find_preset(preset), ablate or [])
+    named = with_method_of(ablated(find_preset(preset), ablate or []), checkpoint)
     names = tuple(name.strip() for name in classes.split(",")) if classes else None
     if names is None and class_count(named, weights) != len(named.classes):
         by_priors = official_classes(priors or checkpoint.parent)

@@ -8,8 +8,11 @@ paper gives none. A preset as it stands follows neither to the letter; ``docs/de
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
+
+from safetensors import safe_open
 
 from edge.detector.presets import Preset, PresetError
 
@@ -37,6 +40,7 @@ OFFICIAL: MappingProxyType[str, Any] = MappingProxyType(
         "matching_grey": "official",
     }
 )
+METHOD_KEY = "method"  # of the metadata of weights
 METHODS = MappingProxyType({"paper": PAPER, "official": OFFICIAL})
 FILTERS_BY_CLASS = MappingProxyType({"paper": True, "official": False})
 
@@ -54,3 +58,12 @@ def with_method(preset: Preset, name: str) -> Preset:
         training=replace(preset.training, **METHODS[name]),
         anchors=replace(preset.anchors, filter_by_class=FILTERS_BY_CLASS[name]),
     )
+
+
+def with_method_of(preset: Preset, weights: Path) -> Preset:
+    """The preset with the method that a weights file of ``edge train`` names; as it is where the file names none."""
+    if weights.suffix != ".safetensors":
+        return preset
+    with safe_open(weights, framework="numpy") as file:
+        name = (file.metadata() or {}).get(METHOD_KEY)
+    return with_method(preset, name) if name in METHODS else preset

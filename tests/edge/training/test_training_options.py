@@ -14,8 +14,9 @@ import pytest
 torch = pytest.importorskip("torch", reason="the torch workbench is not installed")
 
 from edge.detector.presets import Preset, PresetError, preset  # noqa: E402
+from edge.detector.weights import save_weights  # noqa: E402
 from edge.training.losses import ImageTargets, box_loss, class_loss, disparity_loss, valid_pixels  # noqa: E402
-from edge.training.methods import METHODS, with_method  # noqa: E402
+from edge.training.methods import METHODS, with_method, with_method_of  # noqa: E402
 from edge.training.point_clouds import points_in_camera  # noqa: E402
 from edge.training.samples import Sample, SampleMaker  # noqa: E402
 from runtime.contracts.errors import FormatError, FrameError, SourceError  # noqa: E402
@@ -67,6 +68,15 @@ def test_methods_differ_in_every_option_they_name() -> None:
     assert paper.anchors.filter_by_class and not official.anchors.filter_by_class
     assert (paper.training.epochs, official.training.epochs) == (50, 80)
     assert paper.manifest().anchors.filter_by_class  # the model keeps the filter it was trained with
+
+
+def test_export_takes_the_method_that_the_weights_name(tmp_path: Path) -> None:
+    paper = preset("paper")
+    for name, expected in (("paper", True), ("official", False), ("preset", False)):
+        file = tmp_path / f"{name}.safetensors"
+        save_weights(file, {"weight": torch.zeros(2)}, metadata={"method": name})
+        assert with_method_of(paper, file).anchors.filter_by_class is expected
+    assert with_method_of(paper, tmp_path / "Stereo3D_latest.pth") == paper
 
 
 def test_disparity_source_none(sample: Callable[..., Sample]) -> None:
