@@ -1,0 +1,44 @@
+"""What is particular to training from one view: no claims of low overlap, mirrored alone, alpha from the box."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from edge.training.assign import match_anchors
+from edge.training.ground_truth import alpha_of_yaw, mirror_geometry, mirror_objects
+from runtime.contracts.geometry import StereoGeometry, project_to_image
+from runtime.contracts.kitti import parse_labels
+
+P2 = np.array([[721.5377, 0, 609.5593, 44.85728], [0, 721.5377, 172.854, 0.2163791], [0, 0, 1, 0.002745884]])
+P3 = np.array([[721.5377, 0, 609.5593, -339.5242], [0, 721.5377, 172.854, 2.199936], [0, 0, 1, 0.002729905]])
+LABEL = "Car 0.00 0 -1.50 300 150 400 200 1.50 1.60 3.90 -6.00 1.60 20.00 -1.80\n"
+SHIFT_PX = 0.2  # the mirror leaves t_z (2.7 mm) out, times 1241 columns over 20 m
+
+
+def test_low_overlap_is_claimed_only_on_demand() -> None:
+    anchors = np.array([[0, 0, 10, 10], [100, 0, 110, 10]], np.float32)
+    truth = np.array([[4, 0, 14, 10]], np.float32)  # IoU 0.43 with the first anchor
+    claimed, _ = match_anchors(anchors, truth, claim_without_overlap=False)
+    left, background = match_anchors(anchors, truth, claim_without_overlap=False, low_quality_matches=False)
+    assert claimed.tolist() == [0, -2]
+    assert left.tolist() == [-1, -2]
+    assert background.tolist() == [False, True]
+
+
+def test_single_view_is_mirrored_with_its_own_camera() -> None:
+    geometry = StereoGeometry(P2, P3, (1242, 375))
+    mirrored = mirror_geometry(geometry, exchange=False)
+    objects = parse_labels(LABEL)
+    pixels, _ = project_to_image(geometry.P2, objects.center_in_camera)
+    turned = mirror_objects(objects, mirrored.P2)
+    turned_pixels, _ = project_to_image(mirrored.P2, turned.center_in_camera)
+    np.testing.assert_allclose(turned_pixels, [[1241 - pixels[0, 0], pixels[0, 1]]], atol=SHIFT_PX)
+
+
+def test_alpha_is_what_decoding_undoes() -> None:
+    objects = alpha_of_yaw(parse_labels(LABEL), P2)
+    center = objects.center_in_camera[0]
+    yaw_rad = objects.alpha_rad[0] + np.arctan2(center[0] + P2[0, 3] / P2[0, 0], center[2])
+    assert yaw_rad == pytest.approx(-1.8)
+    assert objects.alpha_rad[0] != pytest.approx(-1.5)
