@@ -56,16 +56,17 @@ def open_kitti_object(uri: SourceUri, options: SourceOptions) -> ImagePairs:
 
 
 def read_split(folder: Path, name: str, *, uri: str) -> list[str]:
-    """Frame names of ``ImageSets/NAME.txt``, in the file's order; Chen's list where there is no such file.
+    """Frame names of ``ImageSets/NAME.txt``, in the file's order; Chen's list where the folder holds no list.
 
     Raises:
         SourceError: there is no such split, or it is empty.
     """
     path = folder / f"{name}.txt"
-    if not path.is_file() and name in BUNDLED_SPLITS:
+    own_lists = {item.stem for item in folder.glob("*.txt")}
+    if not own_lists and name in BUNDLED_SPLITS:
         return bundled_split(name)
     if not path.is_file():
-        found = ", ".join(sorted({item.stem for item in folder.glob("*.txt")}.union(BUNDLED_SPLITS)))
+        found = ", ".join(sorted(own_lists or BUNDLED_SPLITS))
         raise SourceError(f"{uri}: found no split {name!r} in {folder}, expected one of: {found}; choose one")
     stems = path.read_text(encoding="utf-8").split()
     if not stems:
