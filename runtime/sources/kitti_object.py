@@ -1,7 +1,7 @@
 """``kitti-object:ROOT?split=val``: training/{image_2,image_3,calib,label_2}, ImageSets/NAME.txt.
 
 Without ``split``: every frame of ``training``. A split named ``test`` lies in ``testing``, as the benchmark
-has it. Where the folder has no ``ImageSets/NAME.txt``, as it is downloaded, ``train`` and ``val`` are Chen's lists
+has it. Where the folder has no lists in ``ImageSets``, as it is downloaded, ``train`` and ``val`` are Chen's lists
 (3,712 and 3,769 frames of the benchmark's training set), which lie in ``splits`` beside this file, and ``test`` is
 every frame of ``testing``. Frames keep their KITTI numbers.
 """
