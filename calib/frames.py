@@ -103,10 +103,15 @@ def geometry_hash(frame: StereoFrame) -> str:
     return digest.hexdigest()[:SHORT_HASH]
 
 
-def chosen_frames(source: Iterable[StereoFrame], wanted: int) -> Iterator[StereoFrame]:
+def chosen_frames(source: Iterable[StereoFrame], wanted: int, few: int | None = None) -> Iterator[StereoFrame]:
     """Yields the calibration frames of a source, one at a time.
 
     A file-backed source (a sequence) is sampled over its length; a live one gives its first frames.
+
+    Args:
+        source: Where they come from.
+        wanted: How many calibrate.
+        few: Only this many of those, again spread over them.
 
     Raises:
         SourceError: no frame.
@@ -114,13 +119,16 @@ def chosen_frames(source: Iterable[StereoFrame], wanted: int) -> Iterator[Stereo
     if not is_sequence(source):
         spread_indices(1, wanted)
         empty = True
-        for frame in islice(iter(source), wanted):
+        for frame in islice(iter(source), wanted if few is None else min(few, wanted)):
             empty = False
             yield frame
         if empty:
             spread_indices(0, wanted)
         return
-    for index in spread_indices(len(source), wanted):  # type: ignore[arg-type]
+    indices = spread_indices(len(source), wanted)  # type: ignore[arg-type]
+    if few is not None:
+        indices = tuple(indices[place] for place in spread_indices(len(indices), few))
+    for index in indices:
         yield source[index]  # type: ignore[index]
 
 
@@ -181,6 +189,7 @@ def record(
     wanted: int,
     *,
     name: str,
+    few: int | None = None,
     check: Callable[[StereoFrame], object] = lambda frame: None,
 ) -> CalibrationSet:
     """Reads the calibration frames once and writes down their hashes.
@@ -189,13 +198,14 @@ def record(
         source: Where they come from.
         wanted: How many of them.
         name: What the record calls the source.
+        few: Only this many of those, see `chosen_frames`.
         check: Called with each; what it raises ends the reading.
 
     Raises:
         SourceError: no frame.
     """
     chosen = []
-    for frame in chosen_frames(source, wanted):
+    for frame in chosen_frames(source, wanted, few):
         check(frame)
         chosen.append(ChosenFrame(frame.frame_id, pixel_hash(frame), geometry_hash(frame)))
     available = len(source) if is_sequence(source) else None  # type: ignore[arg-type]

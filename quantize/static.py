@@ -206,6 +206,7 @@ def equalised(
     prepared: Prepared,
     source: Iterable[StereoFrame],
     *,
+    wanted: int,
     use_cache: bool = True,
     allow_other_rig: bool = False,
     progress: Progress = no_progress,
@@ -216,7 +217,8 @@ def equalised(
 
     Args:
         prepared: The float model.
-        source: Entered calibration frames; a few show how large channels get.
+        source: Entered calibration frames.
+        wanted: How many of them calibrate; a few of those show how large channels get.
         use_cache: Look for, and keep, what they showed in the user's cache folder.
         allow_other_rig: Accept cameras far from those of the training data.
         progress: Told after every frame.
@@ -231,13 +233,15 @@ def equalised(
         return prepared
     manifest = prepared.source.manifest
     check = rig_check(manifest, allow_other_rig=allow_other_rig)
-    chosen = record(source, CORRECTION_FRAMES, name="", check=check)
+    chosen = record(source, wanted, few=CORRECTION_FRAMES, name="", check=check)
     key = _key(prepared, prepared.model, chosen, tensors=(), channel_tensors=names)
     seen = load(key) if use_cache else None
     if seen is None:
         seen = observe(
             prepared.model,
-            lambda: frame_feeds(chosen_frames(source, CORRECTION_FRAMES), manifest, allow_other_rig=allow_other_rig),
+            lambda: frame_feeds(
+                chosen_frames(source, wanted, CORRECTION_FRAMES), manifest, allow_other_rig=allow_other_rig
+            ),
             tensors=(),
             channel_tensors=names,
             bytes_of={tensor: _size(shape) * _FLOAT_BYTES for tensor, shape in prepared.shapes.items()},
@@ -255,6 +259,7 @@ def corrections(
     ranges: Mapping[str, Range],
     source: Iterable[StereoFrame],
     *,
+    wanted: int,
     use_cache: bool = True,
     allow_other_rig: bool = False,
     progress: Progress = no_progress,
@@ -265,7 +270,8 @@ def corrections(
         prepared: The float model.
         calibration: Of its whole placement.
         ranges: Of its tensors, those that the build will use.
-        source: Entered calibration frames, of which a few are run; means settle soon.
+        source: Entered calibration frames.
+        wanted: How many of them calibrate; a few of those are run, since means settle soon.
         use_cache: Look for, and keep, the result in the user's cache folder.
         allow_other_rig: Accept cameras far from those of the training data.
         progress: Told after every frame.
@@ -278,7 +284,7 @@ def corrections(
     if seen is not None:
         return {name: shift.astype(np.float64) for name, (shift, _) in seen.channels.items()}
     feeds = frame_feeds(
-        chosen_frames(source, CORRECTION_FRAMES), prepared.source.manifest, allow_other_rig=allow_other_rig
+        chosen_frames(source, wanted, CORRECTION_FRAMES), prepared.source.manifest, allow_other_rig=allow_other_rig
     )
     found = bias_shifts(
         prepared.model, graph.model, prepared.placement, feeds, frame_count=CORRECTION_FRAMES, progress=progress

@@ -94,7 +94,12 @@ def quantize_command(
     uri = calibration or calibration_source()
     with open_sequence(uri) as opened, _progress() as progress:
         prepared = equalised(
-            prepared, opened, use_cache=not no_cache, allow_other_rig=allow_other_rig, progress=progress
+            prepared,
+            opened,
+            wanted=frames,
+            use_cache=not no_cache,
+            allow_other_rig=allow_other_rig,
+            progress=progress,
         )
         found = calibrate(
             prepared,
@@ -115,6 +120,7 @@ def quantize_command(
             found,
             ranges,
             opened,
+            wanted=frames,
             use_cache=not no_cache,
             allow_other_rig=allow_other_rig,
             progress=progress,

@@ -57,6 +57,19 @@ def test_recorded_sources_are_sampled_live_ones_begin_at_the_start() -> None:
     assert [item.frame_id for item in chosen_frames(Live(), 2)] == ["000000", "000001"]
 
 
+@given(available=st.integers(1, 300), wanted=st.integers(1, 60), few=st.integers(1, 12))
+def test_a_few_are_among_those_that_calibrate(available, wanted, few) -> None:
+    recorded = list(range(available))
+    all_of_them = list(chosen_frames(recorded, wanted))
+    some = list(chosen_frames(recorded, wanted, few))
+    assert set(some) <= set(all_of_them)
+    assert len(some) == min(few, wanted, available)
+
+
+def test_a_few_of_a_live_source_are_its_first() -> None:
+    assert [item.frame_id for item in chosen_frames(Live(), 4, 2)] == ["000000", "000001"]
+
+
 def test_the_choice_is_written_down() -> None:
     chosen = record([frame(number) for number in range(10)], 2, name="drive")
     assert (chosen.source, chosen.available) == ("drive", 10)
