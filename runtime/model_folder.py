@@ -11,8 +11,13 @@ from pathlib import Path
 from runtime.contracts.errors import EdgeError, OutputError
 from runtime.contracts.manifest import MANIFEST_FILE, MODEL_FILE, PRIORS_FILE, parse_manifest
 
-WRITTEN_FILES = (MODEL_FILE, MANIFEST_FILE, PRIORS_FILE, "card.md", "report.md", "report.json", "budget.png")
+WRITTEN_FILES = (
+    *(MODEL_FILE, MANIFEST_FILE, PRIORS_FILE),
+    *("card.md", "report.md", "report.json", "budget.png", "ranges.png"),
+)
 """What a model directory may hold and still be replaced by a newer one."""
+REPORT_PICTURES, PICTURE_SUFFIX = "report-pictures", ".jpg"
+"""Folder of a report's pictures in a model directory; it may hold nothing else."""
 
 
 @contextmanager
@@ -52,7 +57,9 @@ def _may_be_replaced(out: Path) -> bool:
     names = {item.name for item in out.iterdir()}
     if not names:
         return True
-    if MANIFEST_FILE not in names or names - set(WRITTEN_FILES):
+    if MANIFEST_FILE not in names or names - {*WRITTEN_FILES, REPORT_PICTURES}:
+        return False
+    if any(item.suffix != PICTURE_SUFFIX for item in (out / REPORT_PICTURES).glob("*")):
         return False
     try:
         parse_manifest((out / MANIFEST_FILE).read_text(encoding="utf-8", errors="replace"))

@@ -22,6 +22,7 @@ DEFAULT_FRAMES = 100
 NOISE_FRAMES, RANKING_FRAMES, TIMED_FRAMES, TIMED_REPEAT = 2, 2, 4, 3
 REFINEMENTS = 4
 """Layers given back that are tried in INT8 again; each costs one run over the validation frames."""
+PLOTTED_LAYERS = 6
 REPORT_FRAMES = 20
 """Frames of the bundled drive that the report measures; a --validation source is measured whole."""
 
@@ -266,6 +267,7 @@ def _report(
 
     from calib.frames import chosen_frames, frame_feeds
     from edge.report.document import report_tables
+    from edge.report.evidence import collect_evidence
     from edge.report.quantisation import (
         BudgetRow,
         LayerRow,
@@ -293,6 +295,7 @@ def _report(
         "given back to float": ", ".join(given_back) or "nothing",
     }
     layers: list[Any] = []
+    evidence = None
     latency: tuple[dict[str, Any], ...] = ()
     share_run = None
     measurements: list[Measurement] = []
@@ -310,7 +313,9 @@ def _report(
             graph = build(prepared, found.observation, ranges, given_back=given_back, shifts=shifts)
             layers = layer_noise(prepared, graph, lambda: feeds)
             paths = [prepared.source.path, written.path]
-            measurements = _measure(paths, source, allow_other_rig=allow_other_rig)
+            runs, measurements = _measure(paths, source, allow_other_rig=allow_other_rig)
+            plots = _range_plots(prepared, found, ranges, layers)
+            evidence = collect_evidence(written.path, source, runs, plots)
             timed = bench_models(paths, pairs, repeat=TIMED_REPEAT, allow_other_rig=allow_other_rig)
             latency = tuple({**asdict(item), "path": Path(item.path).name} for item in timed)
             share_run = share_of_run(profile_directory(written.path, pairs[:1]))
@@ -332,7 +337,7 @@ def _report(
             for step in (search.steps if search is not None else ())
         ),
     )
-    write_quantisation_report(written.path, record, measurements, source=name)
+    write_quantisation_report(written.path, record, measurements, source=name, evidence=evidence)
     if search is not None and budget is not None:
         _plot(written.path, record.budget, budget)
     return [*report_tables(measurements), cost_table(record), noise_table(record)]
@@ -348,7 +353,7 @@ def _plot(folder: Path, rows: Sequence[Any], budget: float) -> None:
         _warn("no picture of the search: matplotlib is missing; pip install '.[report]'")
 
 
-def _measure(paths: Sequence[Path], source: Any, *, allow_other_rig: bool) -> list[Measurement]:
+def _measure(paths: Sequence[Path], source: Any, *, allow_other_rig: bool) -> tuple[Any, list[Measurement]]:
     """Both models on one entered source, the first being the reference; paths are named by their last part."""
     from dataclasses import replace
 
@@ -362,7 +367,27 @@ def _measure(paths: Sequence[Path], source: Any, *, allow_other_rig: bool) -> li
             run = run_model(path, source, on_frame=step, allow_other_rig=allow_other_rig, warn=_warn)
         assessments.append(assess(run))
     records = [measurement(item, assessments[0] if number else None) for number, item in enumerate(assessments)]
-    return [replace(record, path=path.name) for record, path in zip(records, paths, strict=True)]
+    named = [replace(record, path=path.name) for record, path in zip(records, paths, strict=True)]
+    return (assessments[0].run, assessments[1].run), named
+
+
+def _range_plots(prepared: Prepared, found: Calibration, ranges: Mapping[str, Range], layers: Sequence[Any]) -> Any:
+    """What the noisiest layers put out, with the ranges chosen for it."""
+    from edge.report.histograms import RangePlot
+
+    plots = []
+    for item in sorted(layers, key=lambda layer: layer.snr_db):
+        tensor = prepared.placement.outputs[item.node][0]
+        tensor = prepared.placement.root_of.get(tensor, tensor)
+        seen = found.observation.tensors.get(tensor)
+        if seen is None or len(plots) == PLOTTED_LAYERS:
+            continue
+        low, high = ranges[tensor]
+        title = f"{item.node}, {item.snr_db:.1f} dB"
+        plots.append(
+            RangePlot(title, seen.counts, seen.first_edge, seen.bin_width, low, high, seen.minimum, seen.maximum)
+        )
+    return plots
 
 
 def _warn_of_overlap(found: Calibration, source: Any) -> None:

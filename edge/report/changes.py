@@ -114,6 +114,7 @@ def write_pictures(
     names: tuple[str, str],
     limit: int,
     subfolder: str = "",
+    folder: str = PICTURES_FOLDER,
 ) -> list[tuple[str, str, str]]:
     """Draw the frames that differ most, image and bird's-eye view side by side.
 
@@ -123,7 +124,8 @@ def write_pictures(
         reference, other: their runs.
         names: of the two.
         limit: how many frames at most; frames without a difference get no picture.
-        subfolder: below ``pictures``; empty for none.
+        subfolder: below ``folder``; empty for none.
+        folder: part of the path below ``out``.
 
     Returns:
         Frame id, caption, and path relative to ``out`` of each.
@@ -141,7 +143,7 @@ def write_pictures(
         if not item.count:
             continue
         stem = re.sub(r"[^\w.-]+", "_", frame_id).strip("_")
-        place = Path(PICTURES_FOLDER) / subfolder / f"{stem}.jpg"
+        place = Path(folder) / subfolder / f"{stem}.jpg"
         write_picture(out / place, draw_differences(frames[index], item, names))
         caption = f"{names[1]}, frame {frame_id}: {item.lost} lost, {item.new} new, {item.moved} moved"
         written.append((frame_id, caption, place.as_posix()))

@@ -71,7 +71,8 @@ def write_range_plots(path: Path, plots: Sequence[RangePlot]) -> None:
         counts = np.add.reduceat(plot.counts, starts) if len(used) else np.zeros(1)
         edges = plot.first_edge + plot.bin_width * np.append(starts, starts[-1] + step)
         axis.stairs(counts, edges, fill=True, color="#7a9cc6")
-        axis.set_yscale("log")
+        if len(used):
+            axis.set_yscale("log")
         for place, label in ((plot.low, f"{plot.low:.3g}"), (plot.high, f"{plot.high:.3g}")):
             axis.axvline(place, color="#c0392b", linewidth=1.2)
             axis.annotate(label, (place, 1.0), xycoords=("data", "axes fraction"), fontsize=7, color="#c0392b")

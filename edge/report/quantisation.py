@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from edge.report.document import report_text
+from edge.report.evidence import Evidence
 from edge.report.files import write_json, write_text
 from edge.report.markdown import markdown_table
 from edge.report.model_report import REPORT_RECORD, REPORT_TEXT
@@ -66,7 +67,12 @@ class QuantisationRecord:
 
 
 def write_quantisation_report(
-    folder: Path, record: QuantisationRecord, measurements: Sequence[Measurement], *, source: str
+    folder: Path,
+    record: QuantisationRecord,
+    measurements: Sequence[Measurement],
+    *,
+    source: str,
+    evidence: Evidence | None = None,
 ) -> None:
     """Write ``report.md`` and ``report.json`` of a quantised model directory.
 
@@ -75,14 +81,18 @@ def write_quantisation_report(
         record: what was done.
         measurements: float first, then INT8; empty where nothing was measured.
         source: name of the measured frames.
+        evidence: pictures and tables of single detections, distances, ranges.
 
     Raises:
         OutputError: the folder cannot be written.
     """
-    text = report_text(measurements, title="INT8 report", source=source, facts=record.facts)
+    shown = evidence or Evidence()
+    text = report_text(measurements, title="INT8 report", source=source, facts=record.facts, pictures=shown.pictures)
+    text += "".join(markdown_table(table) for table in shown.tables)
     text += "".join(markdown_table(table) for table in quantisation_tables(record))
     content = report_record(measurements, source=source, facts=record.facts)
     content["quantisation"] = _as_json(record)
+    content["evidence"] = shown.record or {}
     write_json(folder / REPORT_RECORD, content)
     write_text(folder / REPORT_TEXT, text)
 

@@ -79,13 +79,21 @@ def test_a_model_and_its_report_come_out(arguments, drives, tmp_path, capsys) ->
     assert run(*arguments, "--frames", 3, "--out", out, *validation) == 0
     assert open_model_directory(out).manifest.recipe == "static_wi8_au8_x86_vnni"
     names = {path.name for path in out.iterdir()}
-    assert names == {"model.onnx", "manifest.json", "priors.npz", "card.md", "report.md", "report.json"}
+    written = {"model.onnx", "manifest.json", "priors.npz", "card.md", "report.md", "report.json", "ranges.png"}
+    assert names - {"report-pictures"} == written
     record = json.loads((out / "report.json").read_text(encoding="utf-8"))
     done = record["quantisation"]
     assert [frame["frame_id"] for frame in done["calibration_frames"]] == ["000000", "000002", "000003"]
     assert done["int8_share_of_multiply_adds"]["graph"] == 1.0
     assert len(done["layers"]) == 14
     assert len(done["latency"]) == 2
+    shown = record["evidence"]
+    assert {change["picture"] for change in shown["changes"] if change["picture"]} <= {
+        path.relative_to(out).as_posix() for path in out.glob("report-pictures/*.jpg")
+    }
+    for row in shown["ap_by_distance"]:
+        assert row["objects"] > 0
+        assert row["drop"] == pytest.approx(row["reference"] - row["other"])
     assert record["against_first"][0]["matched_share"] <= 1.0
     text = (out / "report.md").read_text(encoding="utf-8")
     for part in ("Signal-to-noise", "Cost on this machine", "What stayed float", "static_wi8_au8_x86_vnni"):
@@ -99,6 +107,12 @@ def test_a_model_and_its_report_come_out(arguments, drives, tmp_path, capsys) ->
     assert run(*arguments, "--frames", 3, "--out", out, *validation) == 0
     assert "remembered from an earlier run" in capsys.readouterr().err
     assert (out / "model.onnx").read_bytes() == before
+
+    (out / "report-pictures").mkdir(exist_ok=True)
+    (out / "report-pictures" / "notes.txt").write_text("mine")
+    assert run(*arguments, "--frames", 3, "--out", out, *validation) == 2
+    assert "files of your own" in capsys.readouterr().err
+    assert (out / "report-pictures" / "notes.txt").read_text() == "mine"
 
 
 def test_measuring_on_calibration_frames_is_warned_about(arguments, drives, tmp_path, capsys) -> None:
