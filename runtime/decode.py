@@ -64,19 +64,20 @@ class Decoder:
         self._priors = priors
         self._grid = anchor_grid(manifest.anchors, manifest.input_size_hw)
         self._mean, self._std = priors.by_anchor()
-        self._usable: dict[bytes, BoolArray] = {}
+        self._usable: dict[bytes, tuple[BoolArray, BoolArray]] = {}
 
     def usable(self, P2: FloatArray) -> BoolArray:
         """(N,) bool: anchors near the ground plane, for any class, for this projection of the network image."""
-        usable: BoolArray = np.asarray(self._by_class(P2).any(axis=0))
-        return usable
+        return self._usable_by_any_and_each(P2)[0]
 
-    def _by_class(self, P2: FloatArray) -> BoolArray:
+    def _usable_by_any_and_each(self, P2: FloatArray) -> tuple[BoolArray, BoolArray]:
+        """(N,) for any class, and (classes, N) for each; worked out once a camera."""
         key = P2.tobytes()
         if key not in self._usable:
             if len(self._usable) >= 8:  # a stream has one camera; folders of many drives have a handful
                 self._usable.clear()
-            self._usable[key] = usable_by_class(self._grid, self._manifest.anchors, priors=self._priors, P2=P2)
+            by_class = usable_by_class(self._grid, self._manifest.anchors, priors=self._priors, P2=P2)
+            self._usable[key] = (np.asarray(by_class.any(axis=0)), by_class)
         return self._usable[key]
 
     def candidates(
@@ -94,12 +95,13 @@ class Decoder:
         """
         logits = cls_logits[0, :, :-1]
         best = logits.max(axis=1)
-        passed = np.flatnonzero((best > np.log(score) - np.log1p(-score)) & self.usable(P2))
+        usable, usable_by_class_id = self._usable_by_any_and_each(P2)
+        passed = np.flatnonzero((best > np.log(score) - np.log1p(-score)) & usable)
         label = logits[passed].argmax(axis=1)
         shape = self._grid.shape_index[passed]
         has_prior = self._mean[label, shape, 0] > 0
         if self._manifest.anchors.filter_by_class:
-            has_prior &= self._by_class(P2)[label, passed]
+            has_prior &= usable_by_class_id[label, passed]
         passed, label, shape = passed[has_prior], label[has_prior], shape[has_prior]
         boxes = decode_boxes(
             box_deltas[0, passed],
