@@ -11,13 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.simulation.bodies.library import Body
+from edge.simulation.daylight import draw_light
 from edge.simulation.frames import Moment, assemble, camera_pose
 from edge.simulation.label_statistics import train_statistics
 from edge.simulation.layout import draw_street
 from edge.simulation.placing import PlacedObject, choose_body, draw_size, draw_tint
+from edge.simulation.planting.planter import Surroundings
 from edge.simulation.road import Road, Street, curve
 from edge.simulation.scene import Light
-from edge.simulation.surroundings import Surroundings, build_surroundings, draw_light
+from edge.simulation.surroundings import build_surroundings
 from runtime.contracts.objects import wrap_angle_rad
 
 FloatArray = NDArray[np.float64]

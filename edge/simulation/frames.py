@@ -7,14 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.simulation.daylight import draw_light
 from edge.simulation.labels import label_objects
 from edge.simulation.layout import Layout, lay_out
 from edge.simulation.placing import PlacedObject
+from edge.simulation.planting.planter import Surroundings
 from edge.simulation.render.renderer import Renderer
 from edge.simulation.rig import cameras
 from edge.simulation.scene import Instance, Light, Mesh, Scene
 from edge.simulation.sensor import StereoSensor, draw_sensor, expose, meter
-from edge.simulation.surroundings import Surroundings, build_surroundings, draw_light
+from edge.simulation.surroundings import build_surroundings
 from runtime.contracts.geometry import StereoGeometry
 from runtime.contracts.objects import Objects3D
 

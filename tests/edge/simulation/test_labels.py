@@ -12,10 +12,10 @@ from edge.simulation.bodies.library import bodies
 from edge.simulation.frames import assemble, camera_pose, moment_of_seed
 from edge.simulation.labels import label_objects, outline
 from edge.simulation.placing import PlacedObject
+from edge.simulation.planting.planter import Surroundings
 from edge.simulation.render.renderer import Renderer
 from edge.simulation.rig import cameras, kitti_rig
 from edge.simulation.scene import Light
-from edge.simulation.surroundings import Surroundings
 from runtime.contracts.errors import MissingExtraError
 from runtime.contracts.geometry import project_to_image
 from runtime.contracts.objects import Objects3D, box_corners
