@@ -17,12 +17,15 @@ def simulate_command(
     seed: Annotated[int, typer.Option(help="Frame i is made from seed + i.")] = 0,
     format: Annotated[str, typer.Option(help="Image files: jpg, png or webp.")] = "jpg",
     quality: Annotated[int, typer.Option(help="Quality of jpg and webp.")] = 92,
+    people: Annotated[float, typer.Option(help="Frames with pedestrians or cyclists so many times as often.")] = 1.0,
+    near: Annotated[float, typer.Option(help="Objects within 10 m, whole or cut off, so many times as often.")] = 1.0,
     workers: Annotated[int, typer.Option(help="Processes that render.")] = 2,
 ) -> None:
     """Write simulated stereo frames with exact KITTI labels.
 
-    Single frames go to KITTI's object layout and follow the statistics of KITTI's training labels; ImageSets/all,
-    train and val each name every frame of the set. The rig is written to OUT/rig.json.
+    Single frames go to KITTI's object layout and follow the statistics of KITTI's training labels
+    unless --people or --near ask for more of what is rare; ImageSets/all, train and val each name every frame of the
+    set. The rig is written to OUT/rig.json.
     """
     from rich.console import Console
     from rich.progress import (
@@ -34,6 +37,7 @@ def simulate_command(
         TimeRemainingColumn,
     )
 
+    from edge.simulation.layout import Mix
     from edge.simulation.simulate import simulate
 
     console = Console(stderr=True)
@@ -48,7 +52,7 @@ def simulate_command(
     try:
         count = simulate(
             out, frames=frames, sequence=sequence, seconds=seconds, rig=rig, seed=seed, image_format=format,
-            quality=quality, workers=workers, progress=report,
+            quality=quality, mix=Mix(people=people, near=near), workers=workers, progress=report,
         )  # fmt: skip
     finally:
         bar.stop()

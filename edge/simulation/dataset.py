@@ -43,6 +43,8 @@ class Record:
     quality: int
     seconds: float  # 0 for single frames
     schema: int = RECORD_SCHEMA
+    people: float = 1.0  # the two factors of a `Mix`; 1 is not written
+    near: float = 1.0
 
 
 def claim_folder(out: Path, record: Record) -> None:
@@ -76,7 +78,8 @@ def claim_folder(out: Path, record: Record) -> None:
 
 
 def _record_text(record: Record) -> str:
-    return json.dumps(asdict(record), indent=2) + "\n"
+    entries = {name: value for name, value in asdict(record).items() if name not in ("people", "near") or value != 1.0}
+    return json.dumps(entries, indent=2) + "\n"
 
 
 def _write_text(path: Path, text: str) -> None:

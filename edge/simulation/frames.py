@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from edge.simulation.daylight import draw_light
 from edge.simulation.labels import label_objects
-from edge.simulation.layout import Layout, lay_out
+from edge.simulation.layout import AS_LABELLED, Layout, Mix, lay_out
 from edge.simulation.placing import PlacedObject
 from edge.simulation.planting.planter import Surroundings
 from edge.simulation.render.renderer import Renderer
@@ -61,9 +61,9 @@ def assemble(surroundings: Surroundings, objects: tuple[PlacedObject, ...], ligh
     return Scene(meshes, tuple(instances), light, seed)
 
 
-def moment_of_seed(seed: int, geometry: StereoGeometry) -> Moment:
+def moment_of_seed(seed: int, geometry: StereoGeometry, mix: Mix = AS_LABELLED) -> Moment:
     """The world of a single frame."""
-    layout: Layout = lay_out(seed, intrinsics=np.array(geometry.P2[:, :3]), size_wh=geometry.image_size_wh)
+    layout: Layout = lay_out(seed, intrinsics=np.array(geometry.P2[:, :3]), size_wh=geometry.image_size_wh, mix=mix)
     rng = np.random.default_rng([seed, 2])
     surroundings = build_surroundings(
         layout.road,
@@ -115,8 +115,8 @@ def take(
     )
 
 
-def frame_of_seed(seed: int, geometry: StereoGeometry, renderer: Renderer) -> SimulatedFrame:
+def frame_of_seed(seed: int, geometry: StereoGeometry, renderer: Renderer, mix: Mix = AS_LABELLED) -> SimulatedFrame:
     """The labelled pair of a seed."""
-    moment = moment_of_seed(seed, geometry)
+    moment = moment_of_seed(seed, geometry, mix)
     rng = np.random.default_rng([seed, 3])
     return take(moment, geometry, renderer, sensor=draw_sensor(rng), rng=rng)

@@ -39,6 +39,8 @@ from runtime.contracts.objects import wrap_angle_rad
 
 FloatArray = NDArray[np.float64]
 VEHICLES = ("Car", "Van", "Truck")
+_PEOPLE = [CLASSES.index("Pedestrian"), CLASSES.index("Cyclist")]
+_NEAR_M = 10.0
 ROAD_BEHIND_M, ROAD_AHEAD_M = 20, 170
 _GOLDEN = 0.6180339887498949
 _VISIBLE_RANGE = ((0.82, 1.0), (0.40, 0.73), (0.12, 0.34))  # wanted share seen, by occlusion level
@@ -57,6 +59,22 @@ class Layout:
     camera_height_m: float
     objects: tuple[PlacedObject, ...]
     screens: tuple[tuple[int, float], ...]  # (object index, share of it that scenery should hide)
+
+
+@dataclass(frozen=True, slots=True)
+class Mix:
+    """How much oftener than in KITTI's labels a set of frames shows something; all 1: as often.
+
+    Attributes:
+        people: factor on frames that hold pedestrians or cyclists.
+        near: factor on objects within 10 m, whole or cut by the picture's edge.
+    """
+
+    people: float = 1.0
+    near: float = 1.0
+
+
+AS_LABELLED = Mix()
 
 
 @dataclass(slots=True)
@@ -82,7 +100,7 @@ def _tables() -> dict[str, Any]:
     tables: dict[str, Any] = {
         "statistics": statistics,
         "counts": counts[:, :-1],
-        "count_edges": np.cumsum(counts[:, -1]) / counts[:, -1].sum(),
+        "count_weights": counts[:, -1],
     }
     for name in CLASSES:
         entry = statistics["classes"][name]
@@ -90,11 +108,13 @@ def _tables() -> dict[str, Any]:
     return tables
 
 
-def draw_counts(seed: int) -> NDArray[np.int64]:
+def draw_counts(seed: int, mix: Mix = AS_LABELLED) -> NDArray[np.int64]:
     """Objects of each of `CLASSES` in the frame of a seed; seeds in a row sweep the distribution evenly."""
     tables = _tables()
     position = (seed * _GOLDEN) % 1.0
-    row = min(int(np.searchsorted(tables["count_edges"], position)), len(tables["counts"]) - 1)
+    with_people = tables["counts"][:, _PEOPLE].sum(axis=1) > 0
+    summed = np.cumsum(tables["count_weights"] * np.where(with_people, mix.people, 1.0))
+    row = min(int(np.searchsorted(summed / summed[-1], position)), len(tables["counts"]) - 1)
     counts: NDArray[np.int64] = tables["counts"][row]
     return counts
 
@@ -179,10 +199,10 @@ def draw_road(rng: np.random.Generator, street: Street) -> Road:
     )
 
 
-def lay_out(seed: int, *, intrinsics: FloatArray, size_wh: tuple[int, int]) -> Layout:
+def lay_out(seed: int, *, intrinsics: FloatArray, size_wh: tuple[int, int], mix: Mix = AS_LABELLED) -> Layout:
     """The frame of a seed as seen with a camera of the given intrinsics (3, 3)."""
     rng = np.random.default_rng([seed, 1])
-    counts = draw_counts(seed)
+    counts = draw_counts(seed, mix)
     street = draw_street(rng, vehicles=int(counts[:3].sum()), people=int(counts[3:].sum()))
     if street.kind in ("city", "residential", "road") and rng.random() < 0.35:
         street = replace(
@@ -190,7 +210,7 @@ def lay_out(seed: int, *, intrinsics: FloatArray, size_wh: tuple[int, int]) -> L
         )
     road = draw_road(rng, street)
     camera_height_m = float(rng.normal(1.66, 0.04))
-    drafts = _draw_drafts(counts, rng, focal_px=float(intrinsics[1, 1]))
+    drafts = _draw_drafts(counts, rng, focal_px=float(intrinsics[1, 1]), near=mix.near)
     search = _Search(road, street, Outlines(intrinsics, size_wh, camera_height_m), rng)
     for draft in sorted(drafts, key=lambda item: item.depth_range_m[0]):
         search.insert(draft)
@@ -203,7 +223,7 @@ def lay_out(seed: int, *, intrinsics: FloatArray, size_wh: tuple[int, int]) -> L
     return Layout(road, street, camera_height_m, tuple(objects), tuple(screens))
 
 
-def _draw_drafts(counts: NDArray[np.int64], rng: np.random.Generator, *, focal_px: float) -> list[_Draft]:
+def _draw_drafts(counts: NDArray[np.int64], rng: np.random.Generator, *, focal_px: float, near: float) -> list[_Draft]:
     tables = _tables()
     crowd = int(crowd_of(int(counts.sum())))
     drafts = []
@@ -212,15 +232,16 @@ def _draw_drafts(counts: NDArray[np.int64], rng: np.random.Generator, *, focal_p
         rows = appearance[appearance[:, 0] == crowd]
         rows = rows if rows[:, -1].sum() >= 20 else appearance
         weights = rows[:, -1] * np.array(_OCCLUSION_TILT)[rows[:, 2]]
+        weights = weights * np.where((rows[:, 1] + 1) * DEPTH_STEP_M <= _NEAR_M, near, 1.0)
         weights = weights / weights.sum()
         for _ in range(int(count)):
             size = draw_size(name, tables["statistics"], rng)
             farthest_m = focal_px * size[0] / _SMALLEST_LABEL_PX
             _, depth_bin, occlusion, truncation, _ = rows[int(rng.choice(len(rows), p=weights))]
             far = min((depth_bin + 1) * DEPTH_STEP_M, farthest_m)  # what would be too small for a label comes nearer
-            near = max(min(depth_bin * DEPTH_STEP_M, far - DEPTH_STEP_M), 1.0)
+            first = max(min(depth_bin * DEPTH_STEP_M, far - DEPTH_STEP_M), 1.0)
             drafts.append(
-                _Draft(name, size, (float(near), float(max(far, near + 0.1))), int(occlusion), int(truncation))
+                _Draft(name, size, (float(first), float(max(far, first + 0.1))), int(occlusion), int(truncation))
             )
     return drafts
 

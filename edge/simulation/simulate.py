@@ -17,6 +17,7 @@ import numpy as np
 from edge.simulation.dataset import IMAGE_FORMATS, ObjectFolder, Record, TrackingFolder, claim_folder
 from edge.simulation.drive import FRAMES_PER_SECOND, Drive, build_drive, moment_at
 from edge.simulation.frames import frame_of_seed, take
+from edge.simulation.layout import AS_LABELLED, Mix
 from edge.simulation.render.renderer import Renderer
 from edge.simulation.rig import load_rig, rig_json
 from edge.simulation.sensor import draw_sensor
@@ -25,6 +26,7 @@ from runtime.contracts.geometry import StereoGeometry
 from runtime.contracts.kitti import format_labels
 
 DEFAULT_QUALITY = 92
+LEAST_FACTOR, MOST_FACTOR = 0.1, 20.0  # of a mix
 Progress = Callable[[int, int], None]
 
 
@@ -47,6 +49,7 @@ def simulate(
     seed: int = 0,
     image_format: str = "jpg",
     quality: int = DEFAULT_QUALITY,
+    mix: Mix = AS_LABELLED,
     workers: int = 2,
     progress: Progress | None = None,
 ) -> int:
@@ -64,6 +67,7 @@ def simulate(
         seed: first seed.
         image_format: jpg, png or webp.
         quality: of jpg and webp.
+        mix: what single frames show oftener than KITTI's labels do.
         workers: processes that render.
         progress: called with (frames done, frames in all).
 
@@ -84,12 +88,26 @@ def simulate(
         raise FormatError(
             f"image format {image_format!r} is unknown, expected one of {', '.join(IMAGE_FORMATS)}; name one of them"
         )
+    for name, factor in (("people", mix.people), ("near", mix.near)):
+        if not LEAST_FACTOR <= factor <= MOST_FACTOR:
+            raise FormatError(
+                f"{name} gives {factor}, expected a factor from {LEAST_FACTOR:g} to {MOST_FACTOR:g}; choose one"
+            )
+    if sequence and mix != AS_LABELLED:
+        raise FormatError("people or near were given for a drive, expected single frames; leave out --sequence")
     geometry = load_rig(rig)
     rig_name = (
         rig if rig in ("kitti", "oak-d") else f"file {hashlib.sha256(rig_json(geometry).encode()).hexdigest()[:16]}"
     )
     record = Record(
-        "tracking" if sequence else "object", seed, rig_name, image_format, quality, seconds if sequence else 0.0
+        "tracking" if sequence else "object",
+        seed,
+        rig_name,
+        image_format,
+        quality,
+        seconds if sequence else 0.0,
+        people=mix.people,
+        near=mix.near,
     )
     claim_folder(out, record)
     job = _Job(out, record, geometry)
@@ -171,7 +189,8 @@ class _Worker:
             folder = TrackingFolder(self._job.out, record.image_format, record.quality)
             folder.write(index, (frame.left, frame.right))
             return text
-        frame = frame_of_seed(record.seed + index, geometry, self._renderer)
+        mix = Mix(people=record.people, near=record.near)
+        frame = frame_of_seed(record.seed + index, geometry, self._renderer, mix)
         text = format_labels(frame.labels)
         ObjectFolder(self._job.out, record.image_format, record.quality).write(
             index, (frame.left, frame.right), geometry=geometry, label_text=text

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.simulation.placing import Footprint, PlacedObject
+from edge.simulation.planting.lookalikes import plant_lookalikes
 from edge.simulation.planting.planter import Planter, Surroundings
 from edge.simulation.planting.screens import hide_behind
 from edge.simulation.planting.sides import plant_background, plant_side
@@ -61,10 +62,15 @@ def build_surroundings(
     planter = Planter(world, road, street, rng, objects=objects if guard_views else (), span_s_m=span_s_m)
     for index, share in screens:
         hide_behind(planter, objects[index], share)
+    kinds = {}
     for side in (1.0, -1.0):
         mix = _SIDE_MIX[street.kind]
-        plant_side(planter, side, str(rng.choice(list(mix), p=list(mix.values()))))
+        kinds[side] = str(rng.choice(list(mix), p=list(mix.values())))
+        plant_side(planter, side, kinds[side])
     plant_background(planter)
+    planter.rng = rng.spawn(1)[0]  # chance of their own: the rest of a seed's world stays as it is
+    for side, kind in kinds.items():
+        plant_lookalikes(planter, side, kind)
     return world
 
 

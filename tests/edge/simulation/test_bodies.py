@@ -10,6 +10,7 @@ from edge.simulation.label_statistics import train_statistics
 from edge.simulation.placing import choose_body, draw_size
 from edge.simulation.scene import Material, Mesh
 from edge.simulation.scenery import buildings, furniture, plants
+from edge.simulation.scenery.lookalikes import KINDS, VARIANTS, lookalike
 from edge.simulation.solids import box, extent_hwl, fitted, join, transformed
 
 EXTENT_TOLERANCE_M = 1e-4  # float32 vertices of bodies up to 12 m
@@ -65,6 +66,7 @@ def test_scenery_is_sound() -> None:
     meshes += [furniture.sign(index) for index in range(furniture.SIGN_COUNT)]
     meshes += [furniture.fence(index) for index in range(4)] + [furniture.bin_or_box(index) for index in range(3)]
     meshes += [furniture.lamp_post(0), furniture.mast(), furniture.shelter(), furniture.parked_bicycle(1)]
+    meshes += [lookalike(kind, index) for kind in KINDS for index in range(VARIANTS)]
     for mesh in meshes:
         _check_sound(mesh)
 

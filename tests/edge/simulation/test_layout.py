@@ -7,7 +7,7 @@ import pytest
 from shapely.geometry import Polygon
 
 from edge.simulation.label_statistics import CLASSES, crowd_of, train_statistics
-from edge.simulation.layout import draw_counts, lay_out
+from edge.simulation.layout import AS_LABELLED, Layout, Mix, draw_counts, lay_out
 from edge.simulation.placing import Footprint
 from edge.simulation.rig import kitti_rig
 from edge.simulation.road import curve
@@ -103,3 +103,26 @@ def test_counts_of_seeds_in_a_row_follow_the_statistics() -> None:
 
 def test_crowd_buckets() -> None:
     assert crowd_of(np.array([0, 2, 3, 8, 9, 40])).tolist() == [0, 0, 1, 2, 3, 4]
+
+
+def test_a_mix_shows_people_oftener_and_leaves_the_rest_in_proportion() -> None:
+    table = np.array(train_statistics()["counts"])
+    people = table[:, 3:5].sum(axis=1) > 0
+    weight = table[:, -1] * np.where(people, 3.0, 1.0)
+    found = np.array([draw_counts(seed, Mix(people=3.0)) for seed in range(500)])
+    with_people = found[:, 3:].sum(axis=1) > 0
+    assert with_people.mean() == pytest.approx(weight[people].sum() / weight.sum(), rel=COUNT_TOLERANCE)
+    for rows, wanted in ((with_people, people), (~with_people, ~people)):  # cars among their own kind of frame
+        expected = (table[wanted, 0] * table[wanted, -1]).sum() / table[wanted, -1].sum()
+        assert found[rows, 0].mean() == pytest.approx(expected, rel=COUNT_TOLERANCE)
+
+
+def test_a_mix_brings_more_objects_near() -> None:
+    depths = [[o.location[2] for seed in SEEDS for o in _laid_out(seed, Mix(near=near)).objects] for near in (1.0, 4.0)]
+    shares = [np.mean(np.array(values) < 10.0) for values in depths]
+    assert shares[1] > 1.5 * shares[0]
+    assert _laid_out(SEEDS[0], Mix()).objects == _laid_out(SEEDS[0], AS_LABELLED).objects
+
+
+def _laid_out(seed: int, mix: Mix) -> Layout:
+    return lay_out(seed, intrinsics=INTRINSICS, size_wh=RIG.image_size_wh, mix=mix)

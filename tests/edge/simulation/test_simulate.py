@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from edge.simulation.layout import Mix
 from edge.simulation.render.renderer import Renderer
 from edge.simulation.rig import cameras, kitti_rig, load_rig, oak_d_rig, rig_json
 from edge.simulation.simulate import simulate
@@ -87,7 +88,16 @@ def test_rig_file_without_an_entry_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "settings",
-    [{"frames": 0}, {"workers": 0}, {"image_format": "bmp"}, {"sequence": True, "seconds": 0.0}, {"seed": -3}],
+    [
+        {"mix": Mix(people=0.0)},
+        {"mix": Mix(near=21.0)},
+        {"mix": Mix(people=2.0), "sequence": True},
+        {"frames": 0},
+        {"workers": 0},
+        {"image_format": "bmp"},
+        {"sequence": True, "seconds": 0.0},
+        {"seed": -3},
+    ],
 )
 def test_senseless_settings_are_refused_and_make_no_folder(tmp_path: Path, settings: dict[str, object]) -> None:
     with pytest.raises(FormatError):
