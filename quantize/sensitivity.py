@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from calib.methods import Range
 from calib.ranges import Feeds, Observation, Progress, no_progress, split_groups, with_outputs
 from quantize.placement import PRODUCTS
+from quantize.prepare import Prepared
 from quantize.qdq import QuantisedGraph
-from quantize.static import Prepared, build
+from quantize.static import build
 from runtime.session import open_session
 
 NO_NOISE_DB = 200.0

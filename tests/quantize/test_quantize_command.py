@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("onnx")
 
 from edge.cli.main import app
-from edge.cli.quantize import public_name
+from edge.cli.source_names import public_name
 from runtime.contracts.manifest import open_model_directory
 from runtime.detector import open_detector
 from runtime.sources.factory import open_source

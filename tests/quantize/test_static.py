@@ -10,10 +10,13 @@ import pytest
 
 pytest.importorskip("onnx")
 
+from quantize.calibration import calibrate
 from quantize.errors import QuantizeError
+from quantize.prepare import int8_share, prepare_model
 from quantize.recipe import recipe_for_target
 from quantize.sensitivity import layer_noise, own_noise
-from quantize.static import build, calibrate, int8_share, prepare_model, write_directory
+from quantize.static import build
+from quantize.write import write_directory
 from runtime.contracts.errors import FrameError, RigError, SourceError
 from runtime.contracts.manifest import Normalisation, open_model_directory
 from runtime.detector import open_detector

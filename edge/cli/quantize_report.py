@@ -1,0 +1,178 @@
+"""The report of ``edge quantize``: measures the written model beside the float one and says what INT8 cost."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from edge.cli.source_names import public_name
+from edge.cli.stages import warn
+
+if TYPE_CHECKING:
+    from calib.methods import Range
+    from quantize.bias_correction import Shifts
+    from quantize.budget import BudgetResult
+    from quantize.calibration import Calibration
+    from quantize.prepare import Prepared
+    from runtime.contracts.manifest import ModelDirectory
+    from runtime.contracts.measurement import Measurement
+
+NOISE_FRAMES, TIMED_FRAMES, TIMED_REPEAT = 2, 4, 3
+PLOTTED_LAYERS = 6
+REPORT_FRAMES = 20
+"""Frames of the bundled drive that the report measures; a --validation source is measured whole."""
+
+
+def report(
+    prepared: Prepared,
+    found: Calibration,
+    written: ModelDirectory,
+    *,
+    given_back: Sequence[str],
+    ranges: Mapping[str, Range],
+    shifts: Shifts,
+    method: str,
+    validation: str | None,
+    search: BudgetResult | None,
+    budget: float | None,
+    allow_other_rig: bool,
+) -> list[Any]:
+    """Measures, writes report.md and report.json into the model directory, and gives the tables to show."""
+    from dataclasses import asdict
+
+    from calib.frames import chosen_frames, frame_feeds
+    from edge.report.document import report_tables
+    from edge.report.evidence import collect_evidence
+    from edge.report.quantisation import (
+        BudgetRow,
+        LayerRow,
+        QuantisationRecord,
+        cost_table,
+        noise_table,
+        write_quantisation_report,
+    )
+    from edge.samples import measuring_source
+    from quantize.placement import place
+    from quantize.prepare import int8_share
+    from quantize.sensitivity import layer_noise
+    from quantize.static import build
+    from runtime.bench import bench_models, profile_directory
+    from runtime.contracts.errors import EdgeError
+    from runtime.profile import int8_share as share_of_run
+    from runtime.sources.factory import open_sequence
+
+    manifest = prepared.source.manifest
+    placement = place(prepared.model, prepared.recipe, given_back)
+    facts = {
+        "recipe": f"{prepared.recipe.name} ({prepared.recipe.note})",
+        "target": f"{prepared.recipe.target}, {prepared.recipe.verified}",
+        "ranges": f"{method}, {len(found.frames.frames)} frames of {found.frames.source}",
+        "calibration pixels SHA-256": found.frames.digest,
+        "given back to float": ", ".join(given_back) or "nothing",
+    }
+    layers: list[Any] = []
+    evidence = None
+    latency: tuple[dict[str, Any], ...] = ()
+    share_run = None
+    measurements: list[Measurement] = []
+    name = "none"
+    try:
+        uri = validation or measuring_source()
+        if validation is None:
+            uri = f"{uri}{'&' if '?' in uri else '?'}limit={REPORT_FRAMES}"
+        name = public_name(uri)
+        with open_sequence(uri) as source:
+            if search is None:
+                warn_of_overlap(found, source)
+            pairs = list(chosen_frames(source, TIMED_FRAMES))
+            feeds = list(frame_feeds(pairs[:NOISE_FRAMES], manifest, allow_other_rig=allow_other_rig))
+            graph = build(prepared, found.observation, ranges, given_back=given_back, shifts=shifts)
+            layers = layer_noise(prepared, graph, lambda: feeds)
+            paths = [prepared.source.path, written.path]
+            runs, measurements = _measure(paths, source, allow_other_rig=allow_other_rig)
+            plots = _range_plots(prepared, found, ranges, layers)
+            evidence = collect_evidence(written.path, source, runs, plots)
+            timed = bench_models(paths, pairs, repeat=TIMED_REPEAT, allow_other_rig=allow_other_rig)
+            latency = tuple({**asdict(item), "path": Path(item.path).name} for item in timed)
+            share_run = share_of_run(profile_directory(written.path, pairs[:1]))
+    except EdgeError as error:
+        if validation is not None:
+            raise
+        warn(f"the report has no measurements: {error}")
+    record = QuantisationRecord(
+        facts=facts,
+        calibration_frames=tuple((frame.frame_id, frame.pixels) for frame in found.frames.frames),
+        layers=tuple(LayerRow(item.node, item.operator, item.snr_db, item.multiply_adds) for item in layers),
+        kept_float=tuple(placement.kept_float.items()),
+        size_bytes=(prepared.source.model_path.stat().st_size, written.model_path.stat().st_size),
+        int8_share=int8_share(prepared, given_back),
+        int8_share_run=share_run,
+        latency=latency,
+        budget=tuple(
+            BudgetRow(step.given_back, step.drop_points, step.measurement.latency_ms.get("inference"), step.holds)
+            for step in (search.steps if search is not None else ())
+        ),
+    )
+    write_quantisation_report(written.path, record, measurements, source=name, evidence=evidence)
+    if search is not None and budget is not None:
+        _budget_plot(written.path, record.budget, budget)
+    return [*report_tables(measurements), cost_table(record), noise_table(record)]
+
+
+def _budget_plot(folder: Path, rows: Sequence[Any], budget: float) -> None:
+    """The picture of the search, where matplotlib is there to draw it; the table says the same."""
+    from edge.report.pareto import BUDGET_PLOT, write_budget_plot
+
+    try:
+        write_budget_plot(folder / BUDGET_PLOT, rows, max_drop=budget)
+    except ImportError:
+        warn("no picture of the search: matplotlib is missing; pip install '.[report]'")
+
+
+def _measure(paths: Sequence[Path], source: Any, *, allow_other_rig: bool) -> tuple[Any, list[Measurement]]:
+    """Both models on one entered source, the first being the reference; paths are named by their last part."""
+    from dataclasses import replace
+
+    from edge.evaluation.measure import assess, measurement
+    from edge.evaluation.run import run_model
+    from edge.report.terminal import progress_bar
+
+    assessments = []
+    for path in paths:
+        with progress_bar(f"measuring {path.name}", len(source)) as step:
+            run = run_model(path, source, on_frame=step, allow_other_rig=allow_other_rig, warn=warn)
+        assessments.append(assess(run))
+    records = [measurement(item, assessments[0] if number else None) for number, item in enumerate(assessments)]
+    named = [replace(record, path=path.name) for record, path in zip(records, paths, strict=True)]
+    return (assessments[0].run, assessments[1].run), named
+
+
+def _range_plots(prepared: Prepared, found: Calibration, ranges: Mapping[str, Range], layers: Sequence[Any]) -> Any:
+    """What the noisiest layers put out, with the ranges chosen for it."""
+    from edge.report.histograms import RangePlot
+
+    plots = []
+    for item in sorted(layers, key=lambda layer: layer.snr_db):
+        tensor = prepared.placement.outputs[item.node][0]
+        tensor = prepared.placement.root_of.get(tensor, tensor)
+        seen = found.observation.tensors.get(tensor)
+        if seen is None or len(plots) == PLOTTED_LAYERS:
+            continue
+        low, high = ranges[tensor]
+        title = f"{item.node}, {item.snr_db:.1f} dB"
+        plots.append(
+            RangePlot(title, seen.counts, seen.first_edge, seen.bin_width, low, high, seen.minimum, seen.maximum)
+        )
+    return plots
+
+
+def warn_of_overlap(found: Calibration, source: Any) -> None:
+    from calib.frames import overlap
+
+    shared = overlap(found.frames, source)
+    if shared:
+        warn(
+            f"{len(shared)} of the measured frames calibrated, too (the first is {shared[0]}): "
+            "the figures flatter INT8; measure on other frames"
+        )
