@@ -38,6 +38,8 @@ class Recipe:
         dequantised ones. integer_moves: let operators that only move values read 8-bit tensors directly;
         else between a
             DequantizeLinear and a QuantizeLinear, for runtimes that want to see those.
+        flatten_volumes: compute 3D convolutions as 2D ones, where the runtime's 8-bit kernel for three dimensions is
+            slow (`quantize.volumes`).
         equalise: bring the channels of a tensor to like ranges, where their factors pass on.
         bias_correction: take the mean error of each channel out of the biases.
         verified: ``measured`` on such a machine, or ``structure`` only.
@@ -55,6 +57,7 @@ class Recipe:
     column_outputs: bool
     quantize_correlation: bool
     integer_moves: bool
+    flatten_volumes: bool
     equalise: bool
     bias_correction: bool
     verified: str
@@ -133,6 +136,7 @@ _SWITCHES = (
     "column_outputs",
     "quantize_correlation",
     "integer_moves",
+    "flatten_volumes",
     "equalise",
     "bias_correction",
 )

@@ -17,6 +17,7 @@ from quantize.pixels import fold_pixels  # noqa: E402
 from quantize.placement import place  # noqa: E402
 from quantize.qdq import quantise_graph  # noqa: E402
 from quantize.recipe import load_recipes, recipe_for_target  # noqa: E402
+from quantize.volumes import flatten_volumes  # noqa: E402
 from runtime.contracts.correlation import QLINEAR_STEREO_CORRELATION, STEREO_CORRELATION  # noqa: E402
 from runtime.native.library import library_path  # noqa: E402
 from runtime.profile import int8_share, profile_model  # noqa: E402
@@ -32,9 +33,10 @@ HELD_OUT = slice(6, 8)
 
 
 def quantised(model, recipe, feeds, *, excluded=()):
-    """Float model with pixels folded, placement, INT8 graph."""
+    """Float model with pixels folded and volumes flattened, placement, INT8 graph."""
     name_nodes(model)
     folded = fold_pixels(model).model if recipe.fold_pixels else model
+    folded = flatten_volumes(folded).model if recipe.flatten_volumes else folded
     full = place(folded, recipe)
     seen = observe(folded, lambda: feeds[CALIBRATION], tensors=full.observed, channel_tensors=full.observed_channels)
     placement = place(folded, recipe, excluded) if excluded else full
