@@ -17,6 +17,7 @@ from edge.simulation.rig import cameras
 from edge.simulation.scene import Instance, Light, Mesh, Scene
 from edge.simulation.sensor import StereoSensor, draw_sensor, expose, meter
 from edge.simulation.surroundings import build_surroundings
+from edge.simulation.wardrobe import dress
 from runtime.contracts.geometry import StereoGeometry
 from runtime.contracts.objects import Objects3D
 
@@ -74,8 +75,9 @@ def moment_of_seed(seed: int, geometry: StereoGeometry, mix: Mix = AS_LABELLED) 
         span_s_m=FRAME_SPAN_S_M,
         guard_views=True,
     )
-    scene = assemble(surroundings, layout.objects, draw_light(rng), seed % 100_003)
-    return Moment(scene, layout.objects, camera_pose(0.0, -layout.camera_height_m, 0.0, heading_rad=0.0))
+    objects = dress(layout.objects, np.random.default_rng([seed, 4]))
+    scene = assemble(surroundings, objects, draw_light(rng), seed % 100_003)
+    return Moment(scene, objects, camera_pose(0.0, -layout.camera_height_m, 0.0, heading_rad=0.0))
 
 
 def labels_of_seed(
@@ -110,8 +112,9 @@ def take(
     pixels = renderer.visible_and_total_pixels(moment.scene, left_camera, ids)
     labels = label_objects(moment.objects, geometry=geometry, camera_from_world=moment.camera_from_world, pixels=pixels)
     gain = meter(left.radiance, sensor.left)
+    seen_right = sensor.error.apply(right.radiance)
     return SimulatedFrame(
-        expose(left.radiance, sensor.left, rng, gain=gain), expose(right.radiance, sensor.right, rng, gain=gain), labels
+        expose(left.radiance, sensor.left, rng, gain=gain), expose(seen_right, sensor.right, rng, gain=gain), labels
     )
 
 

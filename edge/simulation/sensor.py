@@ -7,7 +7,7 @@ a few levels.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from statistics import NormalDist
 
@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.simulation.rectification import RectificationError
 from runtime.contracts.errors import FrameError
 
 _CURVE_STEPS = 4096  # entries of the tone curve's table, over the square root of [0, 1]: dark levels get enough
@@ -38,6 +39,7 @@ class SensorModel:
         black_level: offset added in 8-bit levels.
         saturation: 1 keeps colours, 0 is grey.
         vignetting: loss of light in the far corner, 0 none.
+        veil: share of the picture's mean light that the lens scatters over all of it.
         blur_px: standard deviation of the lens blur.
         sharpening: strength of the camera's edge enhancement.
         shot_noise: variance of the signal per unit of signal.
@@ -51,6 +53,7 @@ class SensorModel:
     black_level: float = 3.0
     saturation: float = 0.9
     vignetting: float = 0.15
+    veil: float = 0.0
     blur_px: float = 0.45
     sharpening: float = 0.0
     shot_noise: float = 1.5e-4
@@ -59,30 +62,32 @@ class SensorModel:
 
 @dataclass(frozen=True, slots=True)
 class StereoSensor:
-    """The two cameras of a rig."""
+    """The two cameras of a rig, and what their rectification leaves over."""
 
     left: SensorModel
     right: SensorModel
+    error: RectificationError = field(default_factory=RectificationError)
 
 
 def draw_sensor(rng: np.random.Generator) -> StereoSensor:
     """Draw the cameras of one drive: character shared, small differences between left and right."""
-    warmth, tint = rng.normal(0.0, 0.035), rng.normal(0.0, 0.02)
+    warmth, tint = rng.normal(0.0, 0.06), rng.normal(0.0, 0.03)
     noisy = rng.uniform(0.3, 1.6)
     shared = SensorModel(
         gain_rgb=(float(np.exp(warmth)), float(np.exp(tint)), float(np.exp(-warmth))),
-        mean_level=float(np.clip(rng.normal(97.0, 13.0), 70.0, 130.0)),
+        mean_level=float(np.clip(rng.normal(96.0, 15.0), 62.0, 135.0)),
         gamma=float(rng.uniform(1.05, 1.7)),
         knee=float(rng.uniform(0.65, 0.95)),
-        black_level=float(rng.uniform(0.0, 6.0)),
-        saturation=float(rng.uniform(0.7, 1.1)),
+        black_level=float(rng.uniform(0.0, 9.0)),
+        saturation=float(rng.uniform(0.6, 1.15)),
         vignetting=float(rng.uniform(0.05, 0.35)),
-        blur_px=float(rng.uniform(0.3, 0.6)),
+        veil=float(max(rng.uniform(-0.04, 0.06), 0.0)),
+        blur_px=float(rng.uniform(0.3, 0.6) if rng.random() < 0.8 else rng.uniform(0.6, 1.0)),
         sharpening=float(max(rng.uniform(-0.2, 0.6), 0.0)),
         shot_noise=float(3.0e-4 * noisy),
         read_noise=float(2.5e-3 * noisy),
     )
-    return StereoSensor(_individual(shared, rng), _individual(shared, rng))
+    return StereoSensor(_individual(shared, rng), _individual(shared, rng), RectificationError.draw(rng))
 
 
 def meter(radiance: NDArray[np.float32], sensor: SensorModel) -> float:
@@ -131,6 +136,8 @@ def expose(
     signal = cv2.cvtColor(radiance, cv2.COLOR_RGB2BGR)
     # full well clips after the lens has spread the light, so blown areas bleed over thin dark things
     signal = cv2.GaussianBlur(signal, (5, 5), sensor.blur_px)
+    if sensor.veil > 0.0:
+        signal = cv2.add(signal, tuple(sensor.veil * level for level in cv2.mean(signal)))
     gains_bgr = np.array(sensor.gain_rgb[::-1], np.float32) * np.float32(gain)
     signal = cv2.multiply(signal, _vignette((height, width), sensor.vignetting))
     signal = cv2.transform(signal, np.diag(gains_bgr))

@@ -85,6 +85,26 @@ def _build(kind: str, index: int, rng: np.random.Generator) -> tuple[Mesh, ...]:
     )
 
 
+@cache
+def spare_body(kind: str, index: int) -> Body:
+    """A body of the wider wardrobe (see `edge.simulation.wardrobe`), of one phase: a pedestrian or a cyclist."""
+    rng = np.random.default_rng([_LIBRARY_SEED, 7, list(BODY_COUNTS).index(kind), index])
+    look, phase = PersonLook.draw_any(rng), float(rng.random())
+    if kind == "Pedestrian":
+        mesh = build_person(look, phase, standing=bool(rng.random() < 0.3))
+    else:
+        red, green, blue = (float(value) for value in rng.uniform(0.02, 0.5, 3))
+        mesh = build_cyclist(
+            look,
+            phase,
+            frame_colour=(red, green, blue),
+            lean_rad=float(rng.uniform(0.1, 0.9)),
+            helmet=bool(rng.random() < 0.35) and not look.hat,
+            basket=bool(rng.random() < 0.3),
+        )
+    return Body(f"{kind}/spare{index:03d}", kind, (mesh,), extent_hwl(mesh)[None])
+
+
 def bodies(kind: str) -> list[Body]:
     """All bodies of a class."""
     return [body(kind, index) for index in range(BODY_COUNTS[kind])]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,28 @@ class PersonLook:
     skirt: bool
     short_sleeves: bool
     bag: str  # "", "backpack", "shoulder", "hand"
+    pose: str = "swing"  # of the arms: "swing", "pockets", "phone", "carry", "folded"
+    hat: str = ""  # "", "cap", "hood", "brim"
+    second: Rgb | None = None  # a band or a vest over the top
+    shorts: bool = False
+
+    @staticmethod
+    def draw_any(rng: np.random.Generator) -> PersonLook:
+        """A person of a wider range: other colours, arms, hats, vests, bare legs."""
+        look = PersonLook.draw(rng)
+        tones = [_any_cloth(rng) for _ in range(3)]
+        return replace(
+            look,
+            top=tones[0] if rng.random() < 0.6 else look.top,
+            trousers=tones[1] if rng.random() < 0.35 else look.trousers,
+            second=tones[2] if rng.random() < 0.3 else None,
+            pose=str(rng.choice(["swing", "pockets", "phone", "carry", "folded"], p=[0.55, 0.15, 0.1, 0.1, 0.1])),
+            hat=str(rng.choice(["", "cap", "hood", "brim"], p=[0.7, 0.12, 0.12, 0.06])),
+            shorts=not look.skirt and bool(rng.random() < 0.15),
+            coat=bool(rng.random() < 0.35),
+            girth=float(np.clip(rng.normal(1.03, 0.11), 0.85, 1.35)),
+            stride_rad=float(rng.uniform(0.1, 0.55)),
+        )
 
     @staticmethod
     def draw(rng: np.random.Generator) -> PersonLook:
@@ -60,6 +82,16 @@ class PersonLook:
             short_sleeves=bool(rng.random() < 0.3),
             bag=str(rng.choice(["", "backpack", "shoulder", "hand"], p=[0.5, 0.25, 0.15, 0.1])),
         )
+
+
+def _any_cloth(rng: np.random.Generator) -> Rgb:
+    """A linear colour of cloth: mostly muted, at times a signal colour."""
+    hue = rng.uniform(0.0, 1.0)
+    strength = rng.beta(1.3, 2.2)
+    level = float(np.exp(rng.uniform(np.log(0.02), np.log(0.6))))
+    wheel = np.clip(np.abs((hue * 6.0 + np.array([0.0, 4.0, 2.0])) % 6.0 - 3.0) - 1.0, 0.0, 1.0)
+    red, green, blue = level * (1.0 - strength + strength * wheel)
+    return float(red), float(green), float(blue)
 
 
 def _limb(root: NDArray[np.float64], lengths: tuple[float, float], angles: tuple[float, float]) -> NDArray[np.float64]:
@@ -90,6 +122,8 @@ def person_parts(look: PersonLook, phase: float, *, standing: bool = False) -> l
         parts.append(
             tube(joints, np.array([0.085, 0.062, 0.045]) * girth, material=leg_material, colour=leg_colour, sides=8)
         )
+        if look.shorts:
+            parts.append(tube(joints[1:], np.array([0.064, 0.047]) * girth, material=Material.SKIN, colour=look.skin))
         ankle = joints[-1]
         parts.append(
             ellipsoid(
@@ -102,7 +136,7 @@ def person_parts(look: PersonLook, phase: float, *, standing: bool = False) -> l
             )
         )
         arm_root = np.array([0.0, shoulder_y + 0.04, side * 0.205 * girth])
-        arm = _limb(arm_root, (0.29, 0.25), (-0.85 * angle, -0.85 * angle + 0.25 + 0.25 * abs(angle)))
+        arm = _limb(arm_root, (0.29, 0.25), _arm_angles(look.pose, side, -0.85 * angle))
         sleeve = Material.SKIN if look.short_sleeves else Material.CLOTH
         lower_colour = look.skin if look.short_sleeves else look.top
         parts.append(tube(arm[:2], np.array([0.056, 0.046]) * girth, material=Material.CLOTH, colour=look.top, sides=7))
@@ -139,11 +173,26 @@ def person_parts(look: PersonLook, phase: float, *, standing: bool = False) -> l
                 colour=colour,
             )
         )
+    if look.pose == "carry":
+        parts.append(box((0.2, -1.28, -0.2), (0.5, -1.0, 0.2), material=Material.MATTE, colour=(0.3, 0.2, 0.11)))
     if look.bag == "backpack":
         parts.append(box((-0.3, -1.4, -0.15), (-0.1, -0.98, 0.15), material=Material.CLOTH, colour=(0.05, 0.06, 0.1)))
     if look.bag == "shoulder":
         parts.append(box((-0.14, -1.02, 0.19), (0.16, -0.76, 0.28), material=Material.CLOTH, colour=(0.1, 0.06, 0.035)))
     return parts
+
+
+def _arm_angles(pose: str, side: float, swing_rad: float) -> tuple[float, float]:
+    """Angles of the upper and the lower arm, forward from straight down."""
+    if pose == "phone" and side > 0:
+        return 0.45, 2.55
+    if pose == "pockets":
+        return -0.3, 0.35
+    if pose == "carry":
+        return 0.15, 1.35
+    if pose == "folded":
+        return 0.25, 1.75
+    return swing_rad, swing_rad + 0.25 + 0.25 / 0.85 * abs(swing_rad)
 
 
 def torso_parts(
@@ -184,6 +233,10 @@ def torso_parts(
                 shifted(head, [-0.025, -0.035, 0.0]), (0.092, 0.11, 0.087), material=Material.MATTE, colour=look.hair
             )
         )
+    if look.second is not None:  # a vest or a broad stripe
+        chest = slice(1, 5) if look.coat else slice(2, 4)
+        parts.append(rounded_loft(centres[chest], 1.04 * sizes[chest], material=Material.CLOTH, colour=look.second))
+    parts += _headgear(look, head)
     if look.long_hair:
         parts.append(
             ellipsoid(
@@ -191,6 +244,23 @@ def torso_parts(
             )
         )
     return parts
+
+
+def _headgear(look: PersonLook, head: NDArray[np.float64]) -> list[Mesh]:
+    colour = look.second or look.top
+    if look.hat == "cap":
+        crown = ellipsoid(shifted(head, [-0.01, -0.06, 0]), (0.105, 0.08, 0.09), material=Material.CLOTH, colour=colour)
+        peak = box(shifted(head, [0.07, -0.06, -0.06]), shifted(head, [0.17, -0.04, 0.06]), material=Material.CLOTH,
+                   colour=colour)  # fmt: skip
+        return [crown, peak]
+    if look.hat == "hood":
+        at = shifted(head, [-0.03, 0.0, 0])
+        return [ellipsoid(at, (0.108, 0.145, 0.105), material=Material.CLOTH, colour=colour)]
+    if look.hat == "brim":
+        crown = ellipsoid(shifted(head, [0, -0.07, 0]), (0.1, 0.09, 0.09), material=Material.CLOTH, colour=colour)
+        brim = ellipsoid(shifted(head, [0, -0.05, 0]), (0.17, 0.018, 0.16), material=Material.CLOTH, colour=colour)
+        return [crown, brim]
+    return []
 
 
 def build_person(look: PersonLook, phase: float, *, standing: bool = False) -> Mesh:

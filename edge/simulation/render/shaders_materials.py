@@ -39,9 +39,14 @@ void main() {
     vec4 b = noise(uv + 7.0, 3.1, s.footprint);
     float fine = a.r - 0.5, grain = a.b - 0.5, broad = b.g - 0.5;
     float gain, gloss = 0.0;
+    vec3 albedo = v_colour;
     if (v_material == 9) {            // bark: furrows along the trunk
-        float furrow = noise(vec2(uv.x * 3.0, uv.y * 0.45), 1.4, s.footprint * 2.0).a;
-        gain = 0.75 + 1.0 * (furrow - 0.4) + 0.5 * broad + 0.4 * grain;
+        // round the trunk the texture follows the turn, so that no facet starts it anew
+        float turn = atan(v_model.z, v_model.x);
+        vec4 rind = noise(vec2(turn * 0.35, v_model.y * 0.22) + seeded(v_seed), 0.8, s.footprint * 1.5);
+        gain = 0.62 + 1.3 * (rind.a - 0.4) + 0.7 * (rind.b - 0.5) + 0.5 * broad + 0.3 * grain;
+        float moss = smoothstep(0.55, 0.8, b.g) * step(0.5, fract(v_seed * 3.7));
+        albedo = mix(albedo, albedo * vec3(0.75, 1.15, 0.6), moss);
     } else if (v_material == 12) {    // cloth: weave, folds
         gain = 1.0 + 0.4 * fine + 0.35 * broad + 0.15 * grain;
     } else if (v_material == 11) {    // skin
@@ -55,7 +60,7 @@ void main() {
     } else {
         gain = 1.0 + 0.30 * fine + 0.35 * broad + 0.2 * grain;
     }
-    vec3 radiance = v_colour * (max(gain, 0.05) * diffuse_light(v_world, s.n, 1.0));
+    vec3 radiance = albedo * (max(gain, 0.05) * diffuse_light(v_world, s.n, 1.0));
     radiance += surroundings(reflect(s.view, s.n), 0.2) * (gloss * fresnel(s.n, s.view, 0.05));
     finish(radiance, s);
 }
