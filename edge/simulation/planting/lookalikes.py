@@ -67,4 +67,6 @@ def _put(planter: Planter, name: str, index: int, *, place: tuple[float, float],
         mesh, base = lookalike(name, index), lookalike_base_wd(name, index)
     scale = 1.0 if name == "bicycle" else float(planter.rng.uniform(0.88, 1.15))
     s, t = place
-    planter.put(f"{name}/{index}", mesh, s=s, t=t, turn_rad=turn_rad, size_wd=base, room_m=0.7, scale=scale)
+    planter.put(
+        f"{name}/{index}", mesh, s=s, t=t, turn_rad=turn_rad, size_wd=base, room_m=0.7, scale=scale, whole_view=True
+    )

@@ -12,6 +12,7 @@ from edge.simulation.road import Road, Street
 from edge.simulation.scene import Instance, Mesh
 
 FloatArray = NDArray[np.float64]
+_POINTS_AN_OBJECT = 5  # four corners and the middle
 
 
 @dataclass(slots=True)
@@ -61,6 +62,7 @@ class Planter:
         size_wd: tuple[float, float],
         sink_m: float = 0.0,
         guard: bool = True,
+        whole_view: bool = False,
         apart: bool = False,
         room_m: float = 0.0,
         scale: float = 1.0,
@@ -73,7 +75,8 @@ class Planter:
             turn_rad: as above.
             size_wd: width and depth of its base.
             sink_m: how far below the ground it stands.
-            guard: refuse where it would stand between the origin and an object.
+            guard: refuse where it would stand on the line from the origin to an object's middle or one of its corners.
+            whole_view: refuse where it would stand before any part of an object.
             apart: keep its base clear of buildings, and count it as one.
             room_m: keep a square of this size clear of buildings.
             scale: size factor.
@@ -93,6 +96,8 @@ class Planter:
             if any(crown.overlaps(other) for other in self._taken):
                 return False
         if guard and self._hides(x, z, yaw, size_wd):
+            return False
+        if whole_view and self._stands_before(base):
             return False
         if apart:
             self._taken.append(base)
@@ -118,6 +123,18 @@ class Planter:
         enter = np.nanmax(np.minimum(low, high), axis=1)
         leave = np.nanmin(np.maximum(low, high), axis=1)
         return bool(((enter < leave) & (enter < 1.0) & (leave > 0.0)).any())
+
+    def _stands_before(self, base: Footprint) -> bool:
+        """Whether the base covers any part of an object's bearings from nearer by."""
+        if not len(self._targets):
+            return False
+        targets = self._targets.reshape(-1, _POINTS_AN_OBJECT, 2)
+        bearings = np.arctan2(targets[..., 0], targets[..., 1])
+        own = base.corners()
+        own_bearings = np.arctan2(own[:, 0], own[:, 1])
+        overlap = (own_bearings.min() < bearings.max(axis=1)) & (own_bearings.max() > bearings.min(axis=1))
+        nearer = np.hypot(base.x, base.z) < np.hypot(targets[..., 0], targets[..., 1]).max(axis=1)
+        return bool((overlap & nearer).any())
 
     def near_junction(self, s: float, margin_m: float) -> bool:
         """Whether a station lies in a crossing street or nearer to it than a margin."""
