@@ -20,12 +20,13 @@ from runtime.contracts.manifest import Manifest, ModelDirectory, open_model_dire
 from runtime.contracts.objects import Detections3D
 from runtime.decode import Decoder
 from runtime.preprocess import NetworkView, network_view, prepare
+from runtime.refine import refine_depths
 from runtime.rig import check_rig
 from runtime.session import Session, open_session
 
 OUTPUTS = ("cls_logits", "box_deltas")
 DELTAS = 12
-STAGES = ("preprocess", "inference", "decode")
+STAGES = ("preprocess", "inference", "decode", "refine")
 
 _log = logging.getLogger(__name__)
 
@@ -100,7 +101,10 @@ class Detector:
         inferred = time.perf_counter()
         detections = self._decoder.decode(cls_logits, box_deltas, view, score=score)
         decoded = time.perf_counter()
-        times = (prepared - began, inferred - prepared, decoded - inferred)
+        if self.manifest.depth_refinement and frame.right is not None:
+            detections = refine_depths(detections, frame.left, frame.right, frame.geometry)
+        refined = time.perf_counter()
+        times = (prepared - began, inferred - prepared, decoded - inferred, refined - decoded)
         return detections, {stage: 1e3 * secs for stage, secs in zip(STAGES, times, strict=True)}
 
     def view(self, geometry: StereoGeometry) -> NetworkView:

@@ -18,6 +18,7 @@ from runtime.contracts.geometry import StereoGeometry
 from runtime.contracts.kitti import parse_calib
 from runtime.contracts.manifest import RigLimits
 from runtime.depthai_rig import parse_depthai_calibration
+from runtime.known_rigs import with_known_offset
 
 SCHEMA = 1
 _KEYS = ("schema", "image_size_wh", "P2", "P3")
@@ -164,7 +165,8 @@ def _from_kitti_text(text: str, image_size_wh: tuple[int, int] | None, *, where:
         )
     size = named or image_size_wh
     assert size is not None
-    return fit_to_size(parse_calib(text, size, where=where), image_size_wh, where=where)
+    geometry = with_known_offset(parse_calib(text, size, where=where), text)
+    return fit_to_size(geometry, image_size_wh, where=where)
 
 
 def _raw_size(text: str) -> tuple[int, int] | None:

@@ -166,6 +166,7 @@ class Preset:
     thresholds: Thresholds = field(default_factory=Thresholds)
     normalisation: Normalisation = field(default_factory=Normalisation)
     hill_climbing: bool = False
+    depth_refinement: bool = False
 
     @property
     def views(self) -> Literal[1, 2]:
@@ -192,6 +193,7 @@ class Preset:
             thresholds=self.thresholds,
             rig=self.rig,
             hill_climbing=self.hill_climbing,
+            depth_refinement=self.depth_refinement,
         )
 
 
@@ -249,6 +251,7 @@ PRESETS: dict[str, Preset] = {
         anchors=AnchorLayout(base_px=14.0, scales_per_octave=3.0, scale_count=12),
         nms=NmsPolicy(iou=0.4),
         thresholds=Thresholds(evaluate=0.05, display=0.5),
+        depth_refinement=True,
     ),
     "mono": Preset(
         name="mono",

@@ -16,7 +16,7 @@ HISTORY_FRAMES = 120
 MARGIN_PX = 24
 STAGE_ROW_PX = 22
 TITLE_PX, SMALLEST_TITLE_PX = 24, 12
-SHOWN_STAGES = ("read", "preprocess", "inference", "decode")
+SHOWN_STAGES = ("read", "preprocess", "inference", "decode", "refine")
 
 Image = NDArray[np.uint8]
 
