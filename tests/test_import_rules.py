@@ -47,9 +47,10 @@ RULES = (
     Rule("quantize", ("quantize", "calib", "runtime"), never=TORCH, exempt=frozenset({"learned_rounding.py"})),
     Rule("edge/evaluation", ("edge.evaluation", "runtime"), never=TORCH | ONNX),
     Rule("edge/detector", ("edge", "export", "runtime"), never=ONNX | {"onnxruntime"}),
-    Rule("edge/training", ("edge", "export", "runtime"), never=ONNX | {"onnxruntime"}),
+    Rule("edge/training", ("edge", "export", "quantize", "calib", "runtime"), never=ONNX | {"onnxruntime"}),
     Rule("edge/simulation", ("edge.simulation", "runtime"), never=ONNX | {"onnxruntime"} | TORCH),
     Rule("edge/report", ("edge.report", "edge.evaluation", "runtime"), never=TORCH | ONNX),
+    Rule("edge/parity", ("edge.parity", "edge.report", "quantize", "runtime"), never=TORCH),
 )
 AT_IMPORT_OF_CLI = frozenset({"typer"})
 """All that ``edge/cli`` imports before a command runs, beside the standard library, itself and the contracts."""

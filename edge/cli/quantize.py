@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from edge.cli.quantize_checks import PARITY_FRAMES, how_to_repeat, look_at_pixels
 from edge.cli.quantize_report import report
 from edge.cli.quantize_search import search_in_budget
 from edge.cli.source_names import public_name
@@ -30,6 +31,7 @@ class Method(StrEnum):
 
 
 def quantize_command(
+    context: typer.Context,
     model: Annotated[Path, typer.Argument(help="Float model directory of `edge export`.")],
     out: Annotated[Path, typer.Option(help="Model directory to write; an older one there is replaced.")],
     calibration: Annotated[
@@ -59,6 +61,7 @@ def quantize_command(
     """Quantise a model; exit 1 where the accuracy budget cannot be kept."""
     import time
 
+    from calib.frames import chosen_frames
     from edge.report.terminal import report_console, show_table
     from edge.samples import calibration_source
     from quantize.calibration import calibrate, corrections, equalised
@@ -122,6 +125,7 @@ def quantize_command(
             allow_other_rig=allow_other_rig,
             progress=progress,
         )
+        looked_at = list(chosen_frames(opened, frames, PARITY_FRAMES))
 
     def write(place: Path, given_back: Sequence[str]) -> ModelDirectory:
         graph = build(prepared, found.observation, ranges, given_back=given_back, shifts=shifts)
@@ -143,6 +147,7 @@ def quantize_command(
         )
         given_back = search.best.given_back
     written = write(out, given_back)
+    parity = look_at_pixels(prepared, written, looked_at)
     tables = report(
         prepared,
         found,
@@ -154,6 +159,8 @@ def quantize_command(
         validation=validation,
         search=search,
         budget=budget,
+        parity=parity,
+        repeat=how_to_repeat(context, prepared, found, written, given_back=given_back),
         allow_other_rig=allow_other_rig,
     )
     console = report_console()
@@ -162,6 +169,11 @@ def quantize_command(
     console.print(
         f"wrote {out} in {time.perf_counter() - began_secs:.0f} s; report in {out / 'report.md'}", soft_wrap=True
     )
+    if not parity.passed:
+        raise GoalMissedError(
+            f"parity: found {len(parity.failures)} of {len(parity.checks)} checks of the pixels failed; expected none; "
+            f"the figures of {out} say little before this is mended: see the remedies in {out / 'report.md'}"
+        )
     if search is not None and not search.holds:
         option = "--max-drop" if max_drop is not None else "--max-disagreement"
         raise GoalMissedError(

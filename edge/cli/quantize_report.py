@@ -11,6 +11,8 @@ from edge.cli.stages import warn
 
 if TYPE_CHECKING:
     from calib.methods import Range
+    from edge.report.parity import ParityRecord
+    from edge.report.repeat import RepeatRecord
     from quantize.bias_correction import Shifts
     from quantize.budget import BudgetResult
     from quantize.calibration import Calibration
@@ -36,6 +38,8 @@ def report(
     validation: str | None,
     search: BudgetResult | None,
     budget: float | None,
+    parity: ParityRecord,
+    repeat: RepeatRecord,
     allow_other_rig: bool,
 ) -> list[Any]:
     """Measures, writes report.md and report.json into the model directory, and gives the tables to show."""
@@ -113,6 +117,8 @@ def report(
             BudgetRow(step.given_back, step.drop_points, step.measurement.latency_ms.get("inference"), step.holds)
             for step in (search.steps if search is not None else ())
         ),
+        parity=parity,
+        repeat=repeat,
     )
     write_quantisation_report(written.path, record, measurements, source=name, evidence=evidence)
     if search is not None and budget is not None:

@@ -12,7 +12,9 @@ from edge.report.evidence import Evidence
 from edge.report.files import write_json, write_text
 from edge.report.markdown import markdown_table
 from edge.report.model_report import REPORT_RECORD, REPORT_TEXT
+from edge.report.parity import ParityRecord, parity_table
 from edge.report.records import report_record
+from edge.report.repeat import RepeatRecord, repeat_text
 from edge.report.rows import NO_VALUE, Table
 from runtime.contracts.measurement import Measurement
 
@@ -53,6 +55,7 @@ class QuantisationRecord:
         budget: path of the search; empty without one.
         int8_share: of the multiply-adds in the graph.
         int8_share_run: of the multiply-adds that ONNX Runtime ran; None where nothing was timed.
+        parity: of what both models see; repeat: how to do it again; None where it was not looked at.
     """
 
     facts: dict[str, str]
@@ -64,6 +67,8 @@ class QuantisationRecord:
     int8_share_run: float | None = None
     latency: tuple[dict[str, Any], ...] = ()
     budget: tuple[BudgetRow, ...] = field(default=())
+    parity: ParityRecord | None = None
+    repeat: RepeatRecord | None = None
 
 
 def write_quantisation_report(
@@ -90,16 +95,20 @@ def write_quantisation_report(
     text = report_text(measurements, title="INT8 report", source=source, facts=record.facts, pictures=shown.pictures)
     text += "".join(markdown_table(table) for table in shown.tables)
     text += "".join(markdown_table(table) for table in quantisation_tables(record))
+    text += "" if record.repeat is None else repeat_text(record.repeat)
     content = report_record(measurements, source=source, facts=record.facts)
     content["quantisation"] = _as_json(record)
     content["evidence"] = shown.record or {}
+    content["parity"] = None if record.parity is None else record.parity.as_json()
+    content["repeat"] = None if record.repeat is None else record.repeat.as_json()
     write_json(folder / REPORT_RECORD, content)
     write_text(folder / REPORT_TEXT, text)
 
 
 def quantisation_tables(record: QuantisationRecord) -> list[Table]:
-    """Cost, budget and noise as tables; those without rows are left out."""
-    tables = [cost_table(record), budget_table(record), noise_table(record), float_table(record)]
+    """Parity, cost, budget and noise as tables; those without rows are left out."""
+    checked = [] if record.parity is None else [parity_table(record.parity)]
+    tables = [*checked, cost_table(record), budget_table(record), noise_table(record), float_table(record)]
     return [table for table in tables if table.rows]
 
 

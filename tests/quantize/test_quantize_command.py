@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.main import get_command
 
 pytest.importorskip("onnx")
 
@@ -19,8 +20,6 @@ from runtime.sources.factory import open_source
 
 
 def run(*arguments: object) -> int:
-    from typer.main import get_command
-
     with pytest.raises(SystemExit) as ended:
         get_command(app).main([str(item) for item in arguments])
     return int(ended.value.code or 0)
@@ -98,6 +97,17 @@ def test_a_model_and_its_report_come_out(arguments, drives, tmp_path, capsys) ->
     text = (out / "report.md").read_text(encoding="utf-8")
     for part in ("Signal-to-noise", "Cost on this machine", "What stayed float", "static_wi8_au8_x86_vnni"):
         assert part in text
+    assert record["parity"]["passed"] is True
+    assert {check["what"] for check in record["parity"]["checks"]} >= {"pixels, left view", "pixels, right view"}
+    assert "### To repeat it" in text
+    words = record["repeat"]["command"]
+    assert words[:3] == ["edge", "quantize", "tiny-model"]
+    again = get_command(app).get_command(None, "quantize").make_context("quantize", words[2:])
+    assert again.params["frames"] == 3
+    assert again.params["target"] == "x86-vnni"
+    assert again.params["validation"] == "kitti-object:second-drive"
+    assert record["repeat"]["sha256"]["the INT8 model"] == open_model_directory(out).manifest.sha256["model.onnx"]
+    assert str(tmp_path) not in json.dumps(record), "no path of this machine"
     assert str(tmp_path) not in text + (out / "manifest.json").read_text(encoding="utf-8"), "no path of this machine"
     told = capsys.readouterr().err
     assert "calibrated on 3 frames of kitti-object:tiny-drive (run)" in told

@@ -15,7 +15,7 @@ import numpy as np
 import onnx
 from numpy.typing import NDArray
 
-from edge.report.reference_pixels import Levels, levels_of
+from edge.parity.reference_pixels import Levels, levels_of
 from quantize.graph import GraphIndex, attribute, prune
 from runtime.contracts.manifest import Normalisation
 from runtime.session import open_session

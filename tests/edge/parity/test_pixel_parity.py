@@ -13,12 +13,13 @@ pytest.importorskip("onnx")
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from edge.report import parity
-from edge.report.network_inputs import first_convolutions
-from edge.report.parity import check_parity, parity_table
-from edge.report.parity_cause import likely_cause
-from edge.report.reference_pixels import first_row_and_scale, normalised, reference_levels
-from edge.report.view_order import ViewOrder, view_order
+from edge.parity import check
+from edge.parity.cause import likely_cause
+from edge.parity.check import check_parity
+from edge.parity.network_inputs import first_convolutions
+from edge.parity.reference_pixels import first_row_and_scale, normalised, reference_levels
+from edge.parity.view_order import ViewOrder, view_order
+from edge.report.parity import parity_table
 from quantize.pixels import fold_pixels
 from runtime.contracts.frame import StereoFrame
 from runtime.contracts.geometry import StereoGeometry
@@ -153,7 +154,7 @@ def test_a_float_input_has_the_narrow_limit() -> None:
 )
 def test_wrong_pixels_fail_with_the_cause(change: Callable, remedy: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        parity,
+        check,
         "prepare",
         lambda *given: {name: np.ascontiguousarray(value) for name, value in change(prepare(*given)).items()},
     )

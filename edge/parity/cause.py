@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from edge.report.reference_pixels import Levels
+from edge.parity.reference_pixels import Levels
 
 ROWS_TRIED = 8
 MUCH_BETTER = 0.5
