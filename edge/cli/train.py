@@ -72,6 +72,13 @@ def train_command(
     freeze_norms: Annotated[
         bool, typer.Option("--freeze-norms", help="Keep the statistics of all batch norms, for small batches.")
     ] = False,
+    paste: Annotated[
+        float,
+        typer.Option(min=0, max=1, help="Share of frames that get objects of other frames; stereo presets."),
+    ] = 0.0,
+    quantize_aware: Annotated[
+        bool, typer.Option("--quantize-aware", help="Learn to stand 8-bit rounding; for a run's last steps.")
+    ] = False,
     validation: Annotated[
         Optional[str],  # noqa: UP045
         typer.Option(help="Labelled stereo source URI: AP while training, and the best weights kept."),
@@ -96,6 +103,7 @@ def train_command(
     from edge.training.distributed import process_group, ranks_of_environment, wait_for_all
     from edge.training.loop import train
     from edge.training.methods import with_method
+    from edge.training.paste import object_paster
     from edge.training.precision import wants_mixed_precision
     from edge.training.run_record import RunSettings, check_same_run, write_settings
     from edge.training.samples import SampleMaker
@@ -135,7 +143,8 @@ def train_command(
             load_backbone(detector, backbone)
         if start is not None:
             load_weights(detector, start)
-        frames = MixedFrames(sources, weights, maker=SampleMaker(chosen, tables), seed=seed)
+        paster = object_paster(chosen, sources, share=paste, method=method)
+        frames = MixedFrames(sources, weights, maker=SampleMaker(chosen, tables), seed=seed, paster=paster)
         length = run_steps(chosen, steps=steps, epochs=epochs, epoch_samples=frames.epoch_length, batch_size=batch_size)
         settings = RunSettings(
             steps=length,
@@ -151,6 +160,8 @@ def train_command(
             mixed_precision=wants_mixed_precision(precision, own_device),
             average_decay=average_decay,
             freeze_norms=freeze_norms,
+            quantize_aware=quantize_aware,
+            paste=paste,
             validate_every=validate_every or max(1, frames.epoch_length // batch_size),
         )
         if resume:

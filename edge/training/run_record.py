@@ -37,6 +37,8 @@ class RunSettings:
             1,600 steps) was measured to be worse than the last weights.
         freeze_norms: all batch norms keep their statistics, not only the backbone's: for small batches.
         validate_every: steps between validations, 0 for none.
+        quantize_aware: train under 8-bit rounding, see `edge.training.fake_quantisation`.
+        paste: share of frames that get objects of other frames.
     """
 
     steps: int
@@ -55,6 +57,8 @@ class RunSettings:
     average_decay: float = AVERAGE_DECAY
     freeze_norms: bool = False
     validate_every: int = 0
+    quantize_aware: bool = False
+    paste: float = 0.0
 
 
 def write_settings(run_dir: Path, preset: Preset, settings: RunSettings, datasets: dict[str, int]) -> None:

@@ -16,10 +16,13 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 
 from edge.training.distributed import ALONE, Ranks
 from edge.training.losses import ImageTargets
+from edge.training.paste import ObjectPaster
 from edge.training.point_clouds import points_in_camera
 from edge.training.samples import Sample, SampleMaker
 from runtime.contracts.errors import SourceError
 from runtime.sources.base import FrameSequence
+
+PASTE_STREAM = 1  # of the random numbers of a position
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,12 +62,20 @@ class MixedFrames(Dataset[Sample]):
         weights: how often an epoch shows each source's frames.
         maker: frame to sample.
         seed: of order and augmentation.
+        paster: adds objects of other frames; None leaves frames as they are.
     """
 
     def __init__(
-        self, sources: Sequence[FrameSequence], weights: Sequence[int], *, maker: SampleMaker, seed: int
+        self,
+        sources: Sequence[FrameSequence],
+        weights: Sequence[int],
+        *,
+        maker: SampleMaker,
+        seed: int,
+        paster: ObjectPaster | None = None,
     ) -> None:
         self._sources = list(sources)
+        self._paster = paster
         self._maker = maker
         self._seed = seed
         rows = [
@@ -96,7 +107,11 @@ class MixedFrames(Dataset[Sample]):
         assert objects is not None
         draws = np.random.RandomState(np.random.default_rng([self._seed, position]).integers(2**31))
         points = points_in_camera(source, int(row)) if self._maker.wants_points else None
-        return self._maker.make(source[int(row)], objects, draws, points_in_camera=points)
+        frame = source[int(row)]
+        if self._paster is not None:  # a generator of its own: the others' draws stay as they are without it
+            rng = np.random.default_rng([self._seed, position, PASTE_STREAM])
+            frame, objects = self._paster.paste(frame, objects, rng)
+        return self._maker.make(frame, objects, draws, points_in_camera=points)
 
 
 class Positions(Sampler[int]):
