@@ -21,6 +21,7 @@ from edge.training.checkpoint import (
 )
 from edge.training.distributed import ALONE, Ranks, synchronised_norms, training_pass
 from edge.training.event_log import EventLog
+from edge.training.fake_quantisation import FakeQuantisation
 from edge.training.run_log import LOG_FILE, RunLog
 from edge.training.run_record import RunSettings
 from edge.training.schedule import Schedule
@@ -76,6 +77,7 @@ def train(
     parameters = [p for p in detector.parameters() if p.requires_grad]
     optimiser = torch.optim.Adam(parameters, lr=settings.learning_rate)
     average = AveragedModel(detector, settings.average_decay)
+    rounding = FakeQuantisation(detector, ranks=ranks) if settings.quantize_aware else None
     step = 0
 
     def save(name: str) -> None:
@@ -88,6 +90,8 @@ def train(
                 "step": step,
                 **generators,
             }
+            if rounding is not None:
+                state["rounding"] = rounding.state()
             save_checkpoint(run_dir / name, state)
 
     if resume:
@@ -97,6 +101,8 @@ def train(
         average.state = {name: value.to(device) for name, value in state["average"].items()}
         step = int(state["step"])
         restore_random_state(state, device, ranks)
+        if rounding is not None and "rounding" in state:
+            rounding.load_state(state["rounding"])
     else:
         if ranks.rank:  # same weights, other dropout
             torch.manual_seed(settings.seed + ranks.rank)
@@ -131,6 +137,8 @@ def train(
             rate = schedule.rate(step)
             for group in optimiser.param_groups:
                 group["lr"] = rate
+            if rounding is not None:
+                rounding.begin_step()
             losses = train_step(
                 detector,
                 preset,
@@ -140,6 +148,8 @@ def train(
                 forward=forward,
                 ranks=ranks,
             )
+            if rounding is not None:
+                rounding.end_step()
             epoch = schedule.epoch(step)
             step += 1
             average.update(detector, step)
@@ -156,4 +166,6 @@ def train(
                 events.add(step, validate(average.state, step))
                 if log is not None:
                     log.pause(time.monotonic() - began)
+    if rounding is not None:
+        rounding.remove()
     return average
