@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from edge.cli.accuracy_breakdown import broken_down, draw_errors, kinds_of, need_labels, with_breakdowns
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
 
 DETECTIONS_FOLDER = "detections"
 PICTURES = 6
+ERROR_PICTURES = 20
 
 
 def accuracy_command(
@@ -28,6 +31,14 @@ def accuracy_command(
         Path | None,
         typer.Option(help="New folder for KITTI's test server: a text file a frame, and results.zip; one model."),
     ] = None,
+    by: Annotated[
+        str | None,
+        typer.Option(help="Split AP, recall, misses and inventions: distance, occlusion, truncation; comma between."),
+    ] = None,
+    pictures: Annotated[
+        Path | None, typer.Option(help="New folder for pictures of what is missed and invented; of one model.")
+    ] = None,
+    top: Annotated[int, typer.Option(min=1, help="How many pictures of each.")] = ERROR_PICTURES,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Write into a folder that holds files.")] = False,
     allow_other_rig: Annotated[
         bool, typer.Option("--allow-other-rig", help="Accept a camera far from those of the training data.")
@@ -37,7 +48,8 @@ def accuracy_command(
     from edge.evaluation.measure import assess, measurement
     from edge.evaluation.run import run_model
     from edge.evaluation.submission import check_frame_names, write_submission
-    from edge.report.document import NO_LABELS, report_tables
+    from edge.report.breakdown import breakdown_tables
+    from edge.report.document import NO_LABELS, model_names, report_tables
     from edge.report.files import write_json
     from edge.report.records import accuracy_record
     from edge.report.terminal import progress_bar, report_console, show_table
@@ -47,15 +59,20 @@ def accuracy_command(
     from runtime.sources.base import as_sequence
     from runtime.sources.factory import open_source
 
+    kinds = kinds_of(by)
     for path in models:
         open_model_directory(path)  # a wrong one is said before the first has run for minutes
     if results is not None and len(models) > 1:
         raise OutputError(f"--results with {len(models)} models, expected one; leave the others out")
-    for folder in (out, results):
+    if pictures is not None and len(models) > 1:
+        raise OutputError(f"--pictures with {len(models)} models, expected one; leave the others out")
+    for folder in (out, results, pictures):
         if folder is not None:
             claim_folder(folder, overwrite=overwrite)
     with open_source(source) as opened:
         frames = as_sequence(opened)
+        if kinds or pictures is not None:
+            need_labels(frames, "--by" if kinds else "--pictures")
         if results is not None:  # before the model runs for minutes
             check_frame_names([frames.frame_id(index) for index in range(len(frames))])
         assessments: list[Assessment] = []
@@ -64,8 +81,10 @@ def accuracy_command(
                 run = run_model(path, frames, on_frame=step, allow_other_rig=allow_other_rig, warn=_warn)
             assessments.append(assess(run))
         records = [measurement(item, assessments[0] if index else None) for index, item in enumerate(assessments)]
+        splits = [broken_down(item.run, kinds) for item in assessments] if kinds or pictures is not None else []
         if json is not None:
-            write_json(json, accuracy_record(records))
+            write_json(json, with_breakdowns(accuracy_record(records), splits if kinds else []))
+        drawn = 0 if pictures is None else draw_errors(pictures, frames, assessments[0].run, splits[0], top=top)
         if results is not None:
             write_submission(results, assessments[0].run.frame_ids, assessments[0].run.detections)
         if out is not None:
@@ -78,6 +97,11 @@ def accuracy_command(
         console.print(f"{assessments[0].evaluation.frames} of {len(frames)} frames have labels; AP is on those.")
     for table in report_tables(records):
         show_table(console, table)
+    for name, split in zip(model_names(records), splits, strict=False):
+        for table in breakdown_tables(split, name=name):
+            show_table(console, table, text_columns=2)
+    if pictures is not None:
+        console.print(f"{drawn} pictures of missed and invented objects are in {pictures}.", soft_wrap=True)
     if out is not None:
         console.print(f"Report, pictures and detections are in {out}.", soft_wrap=True)
     if results is not None:

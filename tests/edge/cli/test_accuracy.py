@@ -151,3 +151,54 @@ def test_broken_second_model_is_said_before_the_first_runs(
 def test_unknown_source_option_is_refused(toy_model: Callable[..., Path], capsys: pytest.CaptureFixture[str]):
     assert run("accuracy", toy_model("fp32"), "--source", "kitti-object:/nowhere?unknown=1") == 2
     assert "unknown option" in capsys.readouterr().err
+
+
+def test_split_by_distance_and_occlusion_with_pictures(
+    toy_model: Callable[..., Path], source: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    target, pictures = tmp_path / "figures.json", tmp_path / "errors"
+    model = toy_model("int8", scores=(0.9, 0.0, 0.7))
+    options = ["--by", "distance, occlusion", "--pictures", pictures, "--top", 2, "--json", target]
+    assert run("accuracy", model, "--source", source, *options) == 0
+    (branch,) = json.loads(target.read_text())["models"]
+    rows = branch["breakdown"]["rows"]
+    assert {row["kind"] for row in rows} == {"distance", "occlusion"}
+    visible = next(row for row in rows if (row["kind"], row["band"]) == ("occlusion", "visible"))
+    assert (visible["objects"], visible["found"]) == (15, 9)  # a car is missed in each frame, one unlabelled in three
+    listed = json.loads((pictures / "cases.json").read_text())
+    assert [item["kind"] for item in listed].count("missed") == 2
+    assert all((pictures / item["picture"]).is_file() for item in listed)
+    said = capsys.readouterr().out
+    assert "objects found and missed by occlusion" in said
+    assert "inventions by distance" in said
+    assert str(pictures) in said
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--by", "colour"], "distance, occlusion, truncation"),
+        (["--by", ","], "distance, occlusion, truncation"),
+        (["--by", "distance,distance"], "distance, occlusion, truncation"),
+    ],
+)
+def test_a_wrong_split_is_one_line(toy_model, source, options, said, capsys):
+    assert run("accuracy", toy_model("fp32"), "--source", source, *options) == 2
+    captured = capsys.readouterr().err
+    assert captured.count("\n") == 1
+    assert said in captured
+
+
+def test_a_split_without_labels_is_refused_before_the_model_runs(
+    toy_model: Callable[..., Path], toy_recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    bare = tmp_path / "bare"
+    shutil.copytree(toy_recording, bare)
+    shutil.rmtree(bare / "training" / "label_2")
+    for options in (["--by", "distance"], ["--pictures", tmp_path / "errors"]):
+        assert run("accuracy", toy_model("fp32"), "--source", f"kitti-object:{bare}?split=val", *options) == 2
+        captured = capsys.readouterr().err
+        assert captured.count("\n") == 1
+        assert f"{options[0]}: found no labels" in captured
+    assert run("accuracy", toy_model("a"), toy_model("b"), "--source", "x:y", "--pictures", tmp_path / "errors") == 2
+    assert "--pictures with 2 models" in capsys.readouterr().err
