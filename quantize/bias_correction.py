@@ -32,6 +32,7 @@ Shifts = Mapping[str, NDArray[np.float64]]
 
 _TWIN = "float_twin/"
 _CHANNEL_AXIS = 1
+_LAST_KEPT = "all_but_last_axis"
 
 
 def bias_shifts(
@@ -95,6 +96,12 @@ def _side_by_side(
         copy = onnx.NodeProto()
         copy.CopyFrom(node)
         nodes.append(copy)
+        if node.name in placement.exact_outputs:  # a matrix product by now, its channels last
+            raw, shift = placement.exact_outputs[node.name], f"{node.name}/shift"
+            shift_of[node.name] = shift
+            nodes.append(helper.make_node("Sub", [_TWIN + raw, raw], [f"{shift}/error"]))
+            nodes.append(helper.make_node("ReduceMean", [f"{shift}/error", _LAST_KEPT], [shift], keepdims=1))
+            continue
         if node.op_type != "Conv" or node.name not in placement.nodes:
             continue
         twin, shift = _TWIN + results[node.name], f"{node.name}/shift"
@@ -113,6 +120,8 @@ def _side_by_side(
     for tensor in model.graph.initializer:
         graph.initializer.add().CopyFrom(tensor)
         graph.initializer[-1].name = _TWIN + tensor.name
+    if placement.exact_outputs:
+        graph.initializer.append(numpy_helper.from_array(np.array([0, 1, 2], np.int64), _LAST_KEPT))
     for rank, name in axes.items():
         kept = np.array([axis for axis in range(rank) if axis != _CHANNEL_AXIS], np.int64)
         graph.initializer.append(numpy_helper.from_array(kept, name))

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import onnx
 
+from quantize.ends import network_ends
 from quantize.graph import GraphIndex, attribute
 from quantize.recipe import Recipe
 from runtime.contracts.correlation import DOMAIN, STEREO_CORRELATION
@@ -35,9 +36,10 @@ class Placement:
         outputs: node -> the tensors that it gives, behind the ReLU that vanishes into it.
         folded: names of the ReLUs that vanish.
         root_of: 8-bit tensor -> the tensor whose range it takes (itself, but for moves).
-        column_outputs: convolution whose output leaves the 8-bit part -> columns of the graph's output;
-        each column
+        column_outputs: convolution whose output leaves the 8-bit part -> columns of the graph's output; each column
             gets a range of its own.
+        exact_outputs: convolution whose output leaves the 8-bit part unrounded -> the tensor with channels last that
+            its sums become.
         given: float tensors that are 8-bit already (pixels), by name, with their 8-bit tensor, scale, zero
         point. kept_float: node -> why, for nodes that the recipe's operators name.
     """
@@ -48,6 +50,7 @@ class Placement:
     root_of: Mapping[str, str]
     column_outputs: Mapping[str, int]
     given: Mapping[str, tuple[str, str, str]]
+    exact_outputs: Mapping[str, str] = field(default_factory=dict)
     kept_float: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -89,14 +92,17 @@ def place(model: onnx.ModelProto, recipe: Recipe, excluded: Collection[str] = ()
         elif node.op_type in recipe.operators:
             reasons[node.name] = reason
     _settle(taken, reasons, index=index, outputs=outputs, given=given)
-    ends = _column_outputs(taken, index=index, outputs=outputs) if recipe.column_outputs else {}
+    ends = network_ends(taken, index=index, outputs=outputs) if recipe.column_outputs or recipe.exact_outputs else {}
+    exact = {name: end.channels_last for name, end in ends.items() if recipe.exact_outputs and end.is_matrix_product}
+    columns = {name: end.columns for name, end in ends.items() if recipe.column_outputs and name not in exact}
     return Placement(
         nodes=frozenset(taken),
         outputs={name: outputs[name] for name in taken},
         folded=frozenset(name for name, unit in folded.items() if unit in taken),
-        root_of=_roots(model, taken, outputs=outputs, ends=ends, given=given),
-        column_outputs=ends,
+        root_of=_roots(model, taken, outputs=outputs, ends={*exact, *columns}, given=given),
+        column_outputs=columns,
         given=given,
+        exact_outputs=exact,
         kept_float=reasons,
     )
 
@@ -186,7 +192,7 @@ def _roots(
     taken: Mapping[str, onnx.NodeProto],
     *,
     outputs: Mapping[str, tuple[str, ...]],
-    ends: Mapping[str, int],
+    ends: Collection[str],
     given: Mapping[str, tuple[str, str, str]],
 ) -> dict[str, str]:
     """8-bit tensors with the tensor whose range they take."""
@@ -202,31 +208,3 @@ def _roots(
         for name in outputs[node.name]:
             root_of[name] = root_of[node.input[0]] if inherits else name
     return root_of
-
-
-def _column_outputs(
-    taken: Mapping[str, onnx.NodeProto], *, index: GraphIndex, outputs: Mapping[str, tuple[str, ...]]
-) -> dict[str, int]:
-    """Convolutions that end the 8-bit part, with how many columns their output is read as.
-
-    The pattern is Conv, Transpose to channels last, Reshape to [B, N, columns]: channel c is column c
-    modulo columns.
-    """
-    read = {name for node in taken.values() for name in activations(node)}
-    ends: dict[str, int] = {}
-    sizes = {item.name: item.type.tensor_type.shape.dim for item in index.model.graph.output}
-    for name, node in taken.items():
-        result = outputs[name][0]
-        if node.op_type != "Conv" or result in read or result != node.output[0]:
-            continue
-        transpose = index.only_consumer(result)
-        if transpose is None or transpose.op_type != "Transpose":
-            continue
-        reshape = index.only_consumer(transpose.output[0])
-        if reshape is None or reshape.op_type != "Reshape" or reshape.output[0] not in sizes:
-            continue
-        dims = sizes[reshape.output[0]]
-        permutation = list(attribute(transpose, "perm", []))
-        if len(dims) == 3 and dims[2].dim_value > 0 and permutation == [0, 2, 3, 1]:
-            ends[name] = int(dims[2].dim_value)
-    return ends

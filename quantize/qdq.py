@@ -6,10 +6,11 @@ values, and the correlation, read 8-bit tensors directly, so that no fusion is n
 Runtime's own quantiser does not know that a Slice or a padded Concat shares its input's scale, has no 8-bit
 correlation, no range a column, and reads pixels as normalised floats: hence our own.
 
-A convolution that ends the 8-bit part gets one range a column of the network's output (class logits, depth,
-size, ...), although its output tensor has a single scale: channel c is divided by its column's step, which
-goes into the weight's scale and the bias and leaves the 8-bit weights as they are; the DequantizeLinear
-behind it has the steps by channel.
+A 1x1 convolution that ends the network becomes a product of integers whose 32-bit sums are scaled to the output,
+so that the output is not rounded (`quantize.ends`). Another one gets one range a column of the network's output
+(class logits, depth, size, ...), although its output tensor has a single scale: channel c is divided by its
+column's step, which goes into the weight's scale and the bias and leaves the 8-bit weights as they are; the
+DequantizeLinear behind it has the steps by channel.
 """
 
 from __future__ import annotations
@@ -107,7 +108,7 @@ class _Writer:
         self._level_names: dict[str, str] = {}
         self._float_names: dict[str, str] = {}
         self._params: dict[str, QuantParams] = {}
-        ends = {placement.outputs[node][0] for node in placement.column_outputs}
+        ends = {placement.outputs[node][0] for node in (*placement.column_outputs, *placement.exact_outputs)}
         self._made_in_8_bits = {name for names in placement.outputs.values() for name in names} - ends
 
     def write(self) -> QuantisedGraph:
@@ -118,8 +119,9 @@ class _Writer:
             dtype = "uint8" if values[1].dtype == np.uint8 else "int8"
             self._params[name] = QuantParams(float(values[0]), int(values[1]), dtype)  # type: ignore[arg-type]
         relu_of = self._relus()
+        written = set(self._placement.exact_outputs.values())
         for node in self._model.graph.node:
-            if node.name in self._placement.folded:
+            if node.name in self._placement.folded or node.output[0] in written:
                 continue
             if node.name in self._placement.nodes:
                 self._quantise(node, relu_of.get(node.name))
@@ -151,6 +153,8 @@ class _Writer:
     def _quantise(self, node: onnx.NodeProto, relu: onnx.NodeProto | None) -> None:
         if node.name in self._placement.column_outputs:
             self._write_column_convolution(node)
+        elif node.name in self._placement.exact_outputs:
+            self._write_exact_convolution(node)
         elif node.op_type == STEREO_CORRELATION and self._recipe.quantize_correlation:
             self._write_correlation(node)
         elif self._recipe.integer_moves and moves(node, self._placement.root_of):
@@ -235,6 +239,37 @@ class _Writer:
         zero_point = self._constant(f"{result}_column_zero_point", zero_points)
         self._add("DequantizeLinear", [f"{result}_q", scale, zero_point], result, axis=1)
 
+    def _write_exact_convolution(self, node: onnx.NodeProto) -> None:
+        """The last 1x1 convolution with channels last, its sums scaled to real numbers and not rounded."""
+        result = self._placement.exact_outputs[node.name]
+        params = self._settle_params(node.input[0])
+        weight, bias = self._weight_and_bias(node)
+        scales = weight_scales(weight, bits=self._recipe.weight_bits, per_channel=self._recipe.weight_per_channel)
+        scales = np.broadcast_to(scales, weight.shape[0])
+        levels = quantize_weight(weight, scales, bits=self._recipe.weight_bits)
+        _, zero_point = self._params_as_constants(node.input[0])
+        combined = (params.scale * scales.astype(np.float64)).astype(np.float32)
+        matrix = self._constant(f"{node.name}.matrix_q", np.ascontiguousarray(levels.reshape(len(levels), -1).T))
+        factors = self._constant(f"{node.name}.sum_scale", combined)
+        offsets = self._constant(f"{node.name}.sum_offset", bias.astype(np.float32))
+        rows, sums, real, scaled = (f"{node.name}/{part}" for part in ("rows", "sums", "real_sums", "scaled"))
+        self._nodes += [
+            helper.make_node("Transpose", [self._levels(node.input[0])], [rows], name=rows, perm=[0, 2, 3, 1]),
+            helper.make_node("MatMulInteger", [rows, matrix, zero_point], [sums], name=node.name),
+            helper.make_node("Cast", [sums], [real], name=real, to=onnx.TensorProto.FLOAT),
+            helper.make_node("Mul", [real, factors], [scaled], name=scaled),
+            helper.make_node("Add", [scaled, offsets], [result], name=f"{node.name}/Add"),
+        ]
+
+    def _weight_and_bias(self, node: onnx.NodeProto) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+        """A convolution's weight, and its bias with what corrects it."""
+        weight = self._index.constant(node.input[1])
+        assert weight is not None  # placement took only such
+        has_bias = len(node.input) > 2 and node.input[2]
+        bias = self._index.constant(node.input[2]) if has_bias else None
+        total = np.zeros(weight.shape[0]) if bias is None else bias.astype(np.float64)
+        return weight, total + self._shifts.get(node.name, 0.0)
+
     def _quantise_weights(
         self,
         node: onnx.NodeProto,
@@ -251,13 +286,8 @@ class _Writer:
             output_steps: (M,) what one level of the output stands for, by channel, where it is not one scale.
             shift: (M,) added to the bias.
         """
-        weight = self._index.constant(node.input[1])
-        assert weight is not None  # placement took only such
-        has_bias = len(node.input) > 2 and node.input[2]
-        bias = self._index.constant(node.input[2]) if has_bias else None
-        total = np.zeros(weight.shape[0]) if bias is None else bias.astype(np.float64)
+        weight, total = self._weight_and_bias(node)
         total = total if shift is None else total + shift
-        total = total + self._shifts.get(node.name, 0.0)
         scales = weight_scales(weight, bits=self._recipe.weight_bits, per_channel=self._recipe.weight_per_channel)
         scales = np.broadcast_to(scales, weight.shape[0])
         scales = scales_that_hold_bias(scales, total, input_scale)

@@ -33,10 +33,10 @@ class Recipe:
         weight_per_channel: one scale an output channel.
         operators: operator types that are quantised; all others stay float.
         fold_pixels: read uint8 pixels as they are instead of normalising in float and quantising again.
-        column_outputs: give each column of the output its own range, folded into the last convolution's
-        weights. quantize_correlation: correlate 8-bit features (QLinearStereoCorrelation) instead of
-        dequantised ones. integer_moves: let operators that only move values read 8-bit tensors directly;
-        else between a
+        column_outputs: give each column of the output its own range, folded into the last convolution's weights.
+        exact_outputs: let the 32-bit sums of last 1x1 convolutions become the output, unrounded.
+        quantize_correlation: correlate 8-bit features (QLinearStereoCorrelation) instead of dequantised ones.
+        integer_moves: let operators that only move values read 8-bit tensors directly; else between a
             DequantizeLinear and a QuantizeLinear, for runtimes that want to see those.
         flatten_volumes: compute 3D convolutions as 2D ones, where the runtime's 8-bit kernel for three dimensions is
             slow (`quantize.volumes`).
@@ -55,6 +55,7 @@ class Recipe:
     operators: tuple[str, ...]
     fold_pixels: bool
     column_outputs: bool
+    exact_outputs: bool
     quantize_correlation: bool
     integer_moves: bool
     flatten_volumes: bool
@@ -134,6 +135,7 @@ _SWITCHES = (
     "weight_per_channel",
     "fold_pixels",
     "column_outputs",
+    "exact_outputs",
     "quantize_correlation",
     "integer_moves",
     "flatten_volumes",

@@ -32,6 +32,7 @@ def test_a_row_says_what_the_recipe_does(target: str) -> None:
         str(recipe.weight_bits),
         words[recipe.fold_pixels],
         words[recipe.column_outputs],
+        words[recipe.exact_outputs],
         words[recipe.quantize_correlation],
         words[recipe.integer_moves],
         words[recipe.flatten_volumes],

@@ -1,0 +1,76 @@
+"""The convolutions that end a network: what they write is read as columns of numbers, by the caller alone.
+
+Rounding the last numbers to 8 bits would be the one rounding that nothing behind it averages out: class scores of
+neighbouring anchors tie, and suppression then keeps another box. A 1x1 convolution is a matrix product, and a product
+of 8-bit integers has a 32-bit sum, which times a scale a channel is the output itself (`Placement.exact_outputs`):
+same multiply-adds, no QuantizeLinear, and the transposition to channels last moves bytes instead of floats. Other
+kernels have no such fast product in ONNX Runtime (its ConvInteger is four times slower than its QLinearConv), so
+their columns get a range each (`Placement.column_outputs`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import onnx
+
+from quantize.graph import GraphIndex, attribute
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkEnd:
+    """A last convolution.
+
+    Attributes:
+        columns: of the network's output; channel c is column c modulo columns.
+        channels_last: tensor behind its Transpose, [B, H, W, M].
+        is_matrix_product: one pixel in, one pixel out.
+    """
+
+    columns: int
+    channels_last: str
+    is_matrix_product: bool
+
+
+def network_ends(
+    taken: Mapping[str, onnx.NodeProto], *, index: GraphIndex, outputs: Mapping[str, tuple[str, ...]]
+) -> dict[str, NetworkEnd]:
+    """Convolutions that end the 8-bit part: Conv, Transpose to channels last, Reshape to an output [B, N, columns].
+
+    Args:
+        taken: Nodes that compute in 8 bits, by name.
+        index: Of the float graph.
+        outputs: Of each node, behind the ReLU that vanishes into it.
+    """
+    read = {name for node in taken.values() for name in node.input}
+    ends: dict[str, NetworkEnd] = {}
+    sizes = {item.name: item.type.tensor_type.shape.dim for item in index.model.graph.output}
+    for name, node in taken.items():
+        result = outputs[name][0]
+        if node.op_type != "Conv" or result in read or result != node.output[0]:
+            continue
+        transpose = index.only_consumer(result)
+        if transpose is None or transpose.op_type != "Transpose":
+            continue
+        reshape = index.only_consumer(transpose.output[0])
+        if reshape is None or reshape.op_type != "Reshape" or reshape.output[0] not in sizes:
+            continue
+        dims = sizes[reshape.output[0]]
+        permutation = list(attribute(transpose, "perm", []))
+        if len(dims) == 3 and dims[2].dim_value > 0 and permutation == [0, 2, 3, 1]:
+            ends[name] = NetworkEnd(int(dims[2].dim_value), transpose.output[0], _is_matrix_product(node, index))
+    return ends
+
+
+def _is_matrix_product(node: onnx.NodeProto, index: GraphIndex) -> bool:
+    weight = index.constant(node.input[1])
+    return (
+        weight is not None
+        and weight.shape[2:] == (1, 1)
+        and int(attribute(node, "group", 1)) == 1
+        and attribute(node, "auto_pad", b"NOTSET") in (b"NOTSET", b"VALID")
+        and not np.any(attribute(node, "pads", [0]))
+        and bool(np.all(np.asarray(attribute(node, "strides", [1])) == 1))
+    )
