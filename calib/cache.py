@@ -12,10 +12,12 @@ import hashlib
 import os
 import tempfile
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.observers import TensorStatistics
 from calib.ranges import Observation
@@ -93,7 +95,7 @@ def store(key: str, observation: Observation, folder: Path | None = None) -> Pat
     target = (folder or cache_folder()) / f"{key}.npz"
     names = list(observation.tensors)
     statistics = [observation.tensors[name] for name in names]
-    arrays = {
+    arrays: dict[str, NDArray[Any]] = {
         "names": np.array(names, dtype=np.str_),
         "numbers": np.array(
             [[item.minimum, item.maximum, item.first_edge, item.bin_width] for item in statistics], np.float64
@@ -104,6 +106,11 @@ def store(key: str, observation: Observation, folder: Path | None = None) -> Pat
     }
     for index, (low, high) in enumerate(observation.channels.values()):
         arrays[f"low_{index}"], arrays[f"high_{index}"] = low, high
+    return target if write_arrays(target, arrays) else None
+
+
+def write_arrays(target: Path, arrays: Mapping[str, NDArray[Any]]) -> bool:
+    """Writes arrays beside their place and renames; forgets the oldest files there; False where it cannot write."""
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=target.parent, suffix=".tmp", delete=False) as stream:
@@ -111,8 +118,8 @@ def store(key: str, observation: Observation, folder: Path | None = None) -> Pat
         Path(stream.name).replace(target)
         _forget_oldest(target.parent)
     except OSError:
-        return None
-    return target
+        return False
+    return True
 
 
 def _forget_oldest(folder: Path) -> None:

@@ -1,7 +1,6 @@
-"""Which frames of a source calibrate, and the record of the choice.
+"""Frames that were chosen, their hashes, and what the network is fed of them.
 
-Frames are taken at equal distances over the whole source, since neighbours in a drive show the same scene;
-the two views of a frame stay together. What was chosen is written down with a hash of the pixels, so that a
+The two views of a frame stay together. What was chosen is written down with a hash of the pixels, so that a
 later run can tell whether it saw the same and whether a measuring source overlaps.
 """
 
@@ -9,12 +8,13 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any
 
 from numpy.typing import NDArray
 
+from calib.coverage import Coverage
 from runtime.contracts.errors import SourceError
 from runtime.contracts.frame import StereoFrame
 from runtime.contracts.manifest import Manifest
@@ -23,12 +23,11 @@ from runtime.rig import check_rig
 
 SHORT_HASH = 16
 
-
 Warn = Callable[[str], None]
 
 
-def _say_nothing(line: str) -> None:
-    pass
+def say_nothing(line: str) -> None:
+    """Tells nobody."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,11 +36,13 @@ class ChosenFrame:
 
     Attributes:
         frame_id: its name in the source.
+        index: its place in the source.
         pixels: start of the SHA-256 over the pixels of both views.
         geometry: start of the SHA-256 over P2, P3 and the image size.
     """
 
     frame_id: str
+    index: int
     pixels: str
     geometry: str
 
@@ -52,13 +53,21 @@ class CalibrationSet:
 
     Attributes:
         source: what names the source (its URI, without the folders above it where it lies in the package).
-        frames: in the order of the source.
+        frames: in the order of the choice: the first few of them are the choice of a few.
         available: how many frames the source had; None for a live one.
+        method: how they were chosen, one of `calib.choice.METHODS`; "first" for a live source.
+        coverage: how well they stand for the source; None where that was not looked at.
     """
 
     source: str
     frames: tuple[ChosenFrame, ...]
     available: int | None
+    method: str
+    coverage: Coverage | None = None
+
+    def first(self, few: int) -> CalibrationSet:
+        """The choice of a few: what they show says nothing of how well all stand for the source."""
+        return replace(self, frames=self.frames[:few], coverage=None)
 
     @property
     def digest(self) -> str:
@@ -103,15 +112,14 @@ def geometry_hash(frame: StereoFrame) -> str:
     return digest.hexdigest()[:SHORT_HASH]
 
 
-def chosen_frames(source: Iterable[StereoFrame], wanted: int, few: int | None = None) -> Iterator[StereoFrame]:
-    """Yields the calibration frames of a source, one at a time.
+def spread_frames(source: Iterable[StereoFrame], wanted: int) -> Iterator[StereoFrame]:
+    """Yields frames of a source, one at a time.
 
     A file-backed source (a sequence) is sampled over its length; a live one gives its first frames.
 
     Args:
         source: Where they come from.
-        wanted: How many calibrate.
-        few: Only this many of those, again spread over them.
+        wanted: How many.
 
     Raises:
         SourceError: no frame.
@@ -119,21 +127,18 @@ def chosen_frames(source: Iterable[StereoFrame], wanted: int, few: int | None = 
     if not is_sequence(source):
         spread_indices(1, wanted)
         empty = True
-        for frame in islice(iter(source), wanted if few is None else min(few, wanted)):
+        for frame in islice(iter(source), wanted):
             empty = False
             yield frame
         if empty:
             spread_indices(0, wanted)
         return
-    indices = spread_indices(len(source), wanted)  # type: ignore[arg-type]
-    if few is not None:
-        indices = tuple(indices[place] for place in spread_indices(len(indices), few))
-    for index in indices:
+    for index in spread_indices(len(source), wanted):  # type: ignore[arg-type]
         yield source[index]  # type: ignore[index]
 
 
 def frame_feeds(
-    frames: Iterable[StereoFrame], manifest: Manifest, *, allow_other_rig: bool = False, warn: Warn = _say_nothing
+    frames: Iterable[StereoFrame], manifest: Manifest, *, allow_other_rig: bool = False, warn: Warn = say_nothing
 ) -> Iterator[dict[str, NDArray[Any]]]:
     """The graph's feeds of each frame.
 
@@ -153,7 +158,7 @@ def frame_feeds(
 
 
 def rig_check(
-    manifest: Manifest, *, allow_other_rig: bool = False, warn: Warn = _say_nothing
+    manifest: Manifest, *, allow_other_rig: bool = False, warn: Warn = say_nothing
 ) -> Callable[[StereoFrame], NetworkView]:
     """A function that gives what the network sees of a frame, once the frame's camera has passed the check.
 
@@ -182,37 +187,3 @@ def rig_check(
 def is_sequence(source: object) -> bool:
     """Whether a source can be indexed: file-backed ones can, live ones cannot."""
     return hasattr(source, "__getitem__") and hasattr(source, "__len__")
-
-
-def record(
-    source: Iterable[StereoFrame],
-    wanted: int,
-    *,
-    name: str,
-    few: int | None = None,
-    check: Callable[[StereoFrame], object] = lambda frame: None,
-) -> CalibrationSet:
-    """Reads the calibration frames once and writes down their hashes.
-
-    Args:
-        source: Where they come from.
-        wanted: How many of them.
-        name: What the record calls the source.
-        few: Only this many of those, see `chosen_frames`.
-        check: Called with each; what it raises ends the reading.
-
-    Raises:
-        SourceError: no frame.
-    """
-    chosen = []
-    for frame in chosen_frames(source, wanted, few):
-        check(frame)
-        chosen.append(ChosenFrame(frame.frame_id, pixel_hash(frame), geometry_hash(frame)))
-    available = len(source) if is_sequence(source) else None  # type: ignore[arg-type]
-    return CalibrationSet(name, tuple(chosen), available)
-
-
-def overlap(calibration: CalibrationSet, measuring: Iterable[StereoFrame]) -> tuple[str, ...]:
-    """Ids of measuring frames whose pixels calibrated, too."""
-    known = {frame.pixels for frame in calibration.frames}
-    return tuple(frame.frame_id for frame in measuring if pixel_hash(frame) in known)

@@ -6,14 +6,18 @@ Each step first looks in the cache for what an earlier run over the same frames 
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 
 import numpy as np
 import onnx
 
 from calib.cache import cache_key, load, store
-from calib.frames import CalibrationSet, chosen_frames, frame_feeds, record, rig_check
+from calib.choice import DEFAULT_METHOD, Choice, choose
+from calib.finder import ModelFinder
+from calib.frames import CalibrationSet, frame_feeds, rig_check
 from calib.methods import Range
 from calib.ranges import Observation, Progress, no_progress, observe
 from quantize.bias_correction import Shifts, bias_shifts
@@ -42,39 +46,77 @@ class Calibration:
     from_cache: bool
 
 
-def calibrate(
+def choose_frames(
     prepared: Prepared,
     source: Iterable[StereoFrame],
     wanted: int,
     *,
     name: str,
+    method: str = DEFAULT_METHOD,
     use_cache: bool = True,
     allow_other_rig: bool = False,
     progress: Progress = no_progress,
     warn: Callable[[str], None] = lambda line: None,
-) -> Calibration:
-    """Chooses frames of an entered source and takes the statistics of all 8-bit tensors on them.
+) -> Choice:
+    """Chooses the calibration frames of an entered source, once for all that runs over them.
 
     Args:
         prepared: The model.
         source: Calibration frames.
         wanted: How many of them.
         name: What the record calls the source.
-        use_cache: Look for, and keep, the statistics in the user's cache folder.
+        method: One of `calib.choice.METHODS`.
+        use_cache: Look for, and keep, what frames show in the user's cache folder.
         allow_other_rig: Accept cameras far from those of the training data.
-        progress: Told how far it is.
+        progress: Told how far the looking is.
         warn: Told in one line what is odd about the frames.
 
     Raises:
         SourceError: There are no frames.
         RigError, FrameError: A frame does not fit the model.
+    """
+    check = rig_check(prepared.source.manifest, allow_other_rig=allow_other_rig, warn=warn)
+    with closing(ModelFinder(prepared.source, allow_other_rig=allow_other_rig)) as find:
+        choice = choose(
+            source,
+            wanted,
+            name=name,
+            method=method,
+            check=check,
+            find=find,
+            use_cache=use_cache,
+            progress=progress,
+            warn=warn,
+        )
+    available = choice.chosen.available
+    if available is not None and available < wanted:
+        warn(f"calibration source: {available} frames, {wanted} were wanted; all are used")
+    return choice
+
+
+def calibrate(
+    prepared: Prepared,
+    choice: Choice,
+    *,
+    use_cache: bool = True,
+    allow_other_rig: bool = False,
+    progress: Progress = no_progress,
+) -> Calibration:
+    """Takes the statistics of all 8-bit tensors on the chosen frames.
+
+    Args:
+        prepared: The model.
+        choice: Of `choose_frames`, its source still entered.
+        use_cache: Look for, and keep, the statistics in the user's cache folder.
+        allow_other_rig: Accept cameras far from those of the training data.
+        progress: Told how far it is.
+
+    Raises:
+        FrameError: A frame does not fit the model.
         FormatError: The float model gives values that are not finite.
     """
     manifest, placement = prepared.source.manifest, prepared.placement
-    check = rig_check(manifest, allow_other_rig=allow_other_rig, warn=warn)
-    chosen = record(source, wanted, name=name, check=check)
-    if chosen.available is not None and chosen.available < wanted:
-        warn(f"calibration source: {chosen.available} frames, {wanted} were wanted; all are used")
+    chosen = choice.chosen
     key = _key(
         prepared,
         prepared.model,
@@ -87,10 +129,10 @@ def calibrate(
         return Calibration(chosen, known, from_cache=True)
     observation = observe(
         prepared.model,
-        lambda: frame_feeds(chosen_frames(source, wanted), manifest, allow_other_rig=allow_other_rig),
+        lambda: frame_feeds(choice.frames(), manifest, allow_other_rig=allow_other_rig),
         tensors=placement.observed,
         channel_tensors=placement.observed_channels,
-        bytes_of={tensor: _size(shape) * _FLOAT_BYTES for tensor, shape in prepared.shapes.items()},
+        bytes_of=tensor_bytes(prepared),
         frame_count=len(chosen.frames),
         progress=progress,
     )
@@ -101,9 +143,8 @@ def calibrate(
 
 def equalised(
     prepared: Prepared,
-    source: Iterable[StereoFrame],
+    choice: Choice,
     *,
-    wanted: int,
     use_cache: bool = True,
     allow_other_rig: bool = False,
     progress: Progress = no_progress,
@@ -114,14 +155,13 @@ def equalised(
 
     Args:
         prepared: The float model.
-        source: Entered calibration frames.
-        wanted: How many of them calibrate; a few of those show how large channels get.
+        choice: Of `choose_frames`; its first few frames show how large channels get.
         use_cache: Look for, and keep, what they showed in the user's cache folder.
         allow_other_rig: Accept cameras far from those of the training data.
         progress: Told after every frame.
 
     Raises:
-        SourceError, RigError, FrameError, FormatError: As `calibrate`.
+        FrameError, FormatError: As `calibrate`.
     """
     names = (
         equalisable(prepared.model, prepared.shapes, prepared.placement.observed) if prepared.recipe.equalise else []
@@ -129,19 +169,16 @@ def equalised(
     if not names:
         return prepared
     manifest = prepared.source.manifest
-    check = rig_check(manifest, allow_other_rig=allow_other_rig)
-    chosen = record(source, wanted, few=CORRECTION_FRAMES, name="", check=check)
+    chosen = choice.chosen.first(CORRECTION_FRAMES)
     key = _key(prepared, prepared.model, chosen, tensors=(), channel_tensors=names)
     seen = load(key) if use_cache else None
     if seen is None:
         seen = observe(
             prepared.model,
-            lambda: frame_feeds(
-                chosen_frames(source, wanted, CORRECTION_FRAMES), manifest, allow_other_rig=allow_other_rig
-            ),
+            lambda: frame_feeds(choice.frames(CORRECTION_FRAMES), manifest, allow_other_rig=allow_other_rig),
             tensors=(),
             channel_tensors=names,
-            bytes_of={tensor: _size(shape) * _FLOAT_BYTES for tensor, shape in prepared.shapes.items()},
+            bytes_of=tensor_bytes(prepared),
             frame_count=len(chosen.frames),
             progress=lambda stage, done, total: progress("looking at channels", done, total),
         )
@@ -154,9 +191,8 @@ def corrections(
     prepared: Prepared,
     calibration: Calibration,
     ranges: Mapping[str, Range],
-    source: Iterable[StereoFrame],
+    choice: Choice,
     *,
-    wanted: int,
     use_cache: bool = True,
     allow_other_rig: bool = False,
     progress: Progress = no_progress,
@@ -167,8 +203,7 @@ def corrections(
         prepared: The float model.
         calibration: Of its whole placement.
         ranges: Of its tensors, those that the build will use.
-        source: Entered calibration frames.
-        wanted: How many of them calibrate; a few of those are run, since means settle soon.
+        choice: Of `choose_frames`; its first few frames are run, since means settle soon.
         use_cache: Look for, and keep, the result in the user's cache folder.
         allow_other_rig: Accept cameras far from those of the training data.
         progress: Told after every frame.
@@ -176,13 +211,12 @@ def corrections(
     if not prepared.recipe.bias_correction:
         return {}
     graph = build(prepared, calibration.observation, ranges)
-    key = _key(prepared, graph.model, calibration.frames, tensors=("bias shifts", str(CORRECTION_FRAMES)))
+    few = calibration.frames.first(CORRECTION_FRAMES)
+    key = _key(prepared, graph.model, few, tensors=("bias shifts", str(CORRECTION_FRAMES)))
     seen = load(key) if use_cache else None
     if seen is not None:
         return {name: shift.astype(np.float64) for name, (shift, _) in seen.channels.items()}
-    feeds = frame_feeds(
-        chosen_frames(source, wanted, CORRECTION_FRAMES), prepared.source.manifest, allow_other_rig=allow_other_rig
-    )
+    feeds = frame_feeds(choice.frames(CORRECTION_FRAMES), prepared.source.manifest, allow_other_rig=allow_other_rig)
     found = bias_shifts(
         prepared.model, graph.model, prepared.placement, feeds, frame_count=CORRECTION_FRAMES, progress=progress
     )
@@ -212,8 +246,6 @@ def _key(
     )
 
 
-def _size(shape: tuple[int, ...]) -> int:
-    size = 1
-    for extent in shape:
-        size *= extent
-    return size
+def tensor_bytes(prepared: Prepared) -> dict[str, int]:
+    """Size of each tensor of the graph in float32."""
+    return {tensor: math.prod(shape) * _FLOAT_BYTES for tensor, shape in prepared.shapes.items()}

@@ -1,4 +1,4 @@
-"""Writes the INT8 model directory: graph, manifest, priors, card."""
+"""Writes the INT8 model directory: graph, manifest, priors, card, choice of calibration frames."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from pathlib import Path
 
 import onnx
 
+from calib.choice_record import CALIBRATION_FILE, choice_text
 from quantize.calibration import Calibration
 from quantize.errors import QuantizeError
 from quantize.prepare import Prepared
@@ -41,7 +42,7 @@ def write_directory(
     method: str,
     given_back: Collection[str] = (),
 ) -> ModelDirectory:
-    """Writes the INT8 model directory: graph, manifest, priors as they were, card with what was done.
+    """Writes the INT8 model directory: graph, manifest, priors as they were, card with what was done, frames.
 
     Raises:
         QuantizeError: ``out`` is the directory of the float model.
@@ -57,6 +58,7 @@ def write_directory(
         onnx.save(graph.model, folder / MODEL_FILE)
         shutil.copyfile(source.path / PRIORS_FILE, folder / PRIORS_FILE)
         manifest = _manifest(prepared, calibration, folder, method=method, given_back=given_back)
+        (folder / CALIBRATION_FILE).write_text(choice_text(calibration.frames), encoding="utf-8")
         (folder / MANIFEST_FILE).write_text(format_manifest(manifest), encoding="utf-8")
         (folder / CARD_FILE).write_text(_card(source.path, manifest), encoding="utf-8")
     return open_model_directory(out)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -13,7 +14,7 @@ from runtime.contracts.manifest import MANIFEST_FILE, MODEL_FILE, PRIORS_FILE, p
 
 WRITTEN_FILES = (
     *(MODEL_FILE, MANIFEST_FILE, PRIORS_FILE),
-    *("card.md", "report.md", "report.json", "budget.png", "ranges.png"),
+    *("card.md", "report.md", "report.json", "calibration.json", "budget.png", "ranges.png"),
 )
 """What a model directory may hold and still be replaced by a newer one."""
 REPORT_PICTURES, PICTURE_SUFFIX = "report-pictures", ".jpg"
@@ -28,11 +29,7 @@ def replaced_directory(out: Path) -> Iterator[Path]:
         OutputError: ``out`` is a file, or a folder that is neither empty nor a model directory of this project
             without foreign files, or cannot be written.
     """
-    if out.exists() and not _may_be_replaced(out):
-        raise OutputError(
-            f"{out}: found something that is no model directory, or one with files of your own; expected a free"
-            " place or an older model directory; choose another --out"
-        )
+    _refuse_foreign(out)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         staging = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
@@ -48,6 +45,29 @@ def replaced_directory(out: Path) -> Iterator[Path]:
     finally:
         if out.exists() or not (staging / "old").exists():  # else the retired model is the only one there is
             shutil.rmtree(staging, ignore_errors=True)
+
+
+def check_place(out: Path) -> None:
+    """Whether `replaced_directory` has a chance, before hours of work; makes nothing.
+
+    Raises:
+        OutputError: ``out`` holds what is not to be replaced, or lies where nothing can be written.
+    """
+    _refuse_foreign(out)
+    nearest = next((folder for folder in out.absolute().parents if folder.exists()), None)
+    if nearest is None or not nearest.is_dir() or not os.access(nearest, os.W_OK | os.X_OK):
+        raise OutputError(
+            f"{out}: found that {nearest} is no folder that can be written; expected a writable one; choose another"
+            " --out"
+        )
+
+
+def _refuse_foreign(out: Path) -> None:
+    if out.exists() and not _may_be_replaced(out):
+        raise OutputError(
+            f"{out}: found something that is no model directory, or one with files of your own; expected a free"
+            " place or an older model directory; choose another --out"
+        )
 
 
 def _may_be_replaced(out: Path) -> bool:

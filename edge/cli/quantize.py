@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from edge.cli.quantize_checks import PARITY_FRAMES, how_to_repeat, look_at_pixels
+from edge.cli.quantize_input import check_out, check_validation, wanted_budget
+from edge.cli.quantize_overlap import refuse_overlap
 from edge.cli.quantize_report import report
 from edge.cli.quantize_search import search_in_budget
 from edge.cli.source_names import public_name
@@ -19,6 +21,14 @@ if TYPE_CHECKING:
     from runtime.contracts.manifest import ModelDirectory
 
 DEFAULT_FRAMES = 100
+
+
+class ChoiceMethod(StrEnum):
+    """Which frames of the source calibrate."""
+
+    COVERAGE = "coverage"
+    FARTHEST = "farthest"
+    SPREAD = "spread"
 
 
 class Method(StrEnum):
@@ -37,7 +47,10 @@ def quantize_command(
     calibration: Annotated[
         str | None, typer.Option(help="Frames that show the ranges; default: the bundled calibration drive.")
     ] = None,
-    frames: Annotated[int, typer.Option(min=1, help="How many of them, spread over the source.")] = DEFAULT_FRAMES,
+    frames: Annotated[int, typer.Option(min=1, help="How many of them, chosen for variety.")] = DEFAULT_FRAMES,
+    choice: Annotated[
+        ChoiceMethod, typer.Option(help="How frames are chosen: by what they show, or spread evenly in time.")
+    ] = ChoiceMethod.COVERAGE,
     target: Annotated[
         str | None,
         typer.Option(help="x86-vnni, x86-avx2, arm64, generic, openvino or tensorrt; default: this machine."),
@@ -53,6 +66,9 @@ def quantize_command(
         float | None,
         typer.Option(help="The budget without labels: per cent of detections that may differ from the float model's."),
     ] = None,
+    allow_overlap: Annotated[
+        bool, typer.Option("--allow-overlap", help="Measure on calibration frames, too, with a warning.")
+    ] = False,
     no_cache: Annotated[bool, typer.Option("--no-cache", help="Neither use nor keep earlier calibrations.")] = False,
     allow_other_rig: Annotated[
         bool, typer.Option("--allow-other-rig", help="Accept a camera far from those of the training data.")
@@ -61,11 +77,9 @@ def quantize_command(
     """Quantise a model; exit 1 where the accuracy budget cannot be kept."""
     import time
 
-    from calib.frames import chosen_frames
     from edge.report.terminal import report_console, show_table
     from edge.samples import calibration_source
-    from quantize.calibration import calibrate, corrections, equalised
-    from quantize.errors import QuantizeError
+    from quantize.calibration import calibrate, choose_frames, corrections, equalised
     from quantize.prepare import prepare_model
     from quantize.recipe import detect_target, recipe_for_target
     from quantize.static import build
@@ -74,17 +88,12 @@ def quantize_command(
     from runtime.contracts.manifest import open_model_directory
     from runtime.sources.factory import open_sequence
 
-    if max_drop is not None and validation is None:
-        raise QuantizeError("--max-drop: found no --validation; expected labelled frames to measure on; name a source")
-    if max_disagreement is not None and (validation is None or max_drop is not None):
-        found_instead = "no --validation" if validation is None else "--max-drop, too"
-        raise QuantizeError(
-            f"--max-disagreement: found {found_instead}; expected a source to measure on, and one budget; "
-            "--max-drop is for labelled frames"
-        )
-    budget = max_drop if max_drop is not None else max_disagreement
+    budget = wanted_budget(max_drop, max_disagreement, validation)
     began_secs = time.perf_counter()
     directory = open_model_directory(model)
+    check_out(out, model)
+    if validation is not None:
+        check_validation(validation, directory.manifest.classes, labelled=max_drop is not None)
     recipe = recipe_for_target(target or detect_target())
     prepared = prepare_model(directory, recipe)
     if prepared.pixel_note is not None:
@@ -93,39 +102,42 @@ def quantize_command(
         say("no --calibration: ranges come from the bundled simulated drive; frames of your own camera fit better")
     uri = calibration or calibration_source()
     with open_sequence(uri) as opened, stage_progress() as progress:
-        prepared = equalised(
-            prepared,
-            opened,
-            wanted=frames,
-            use_cache=not no_cache,
-            allow_other_rig=allow_other_rig,
-            progress=progress,
-        )
-        found = calibrate(
+        use_cache = not no_cache
+        chosen = choose_frames(
             prepared,
             opened,
             frames,
             name=public_name(uri),
-            use_cache=not no_cache,
+            method=choice.value,
+            use_cache=use_cache,
             allow_other_rig=allow_other_rig,
             progress=progress,
             warn=warn,
         )
+        if validation is not None:
+            refuse_overlap(chosen.chosen, validation, allow=allow_overlap)
+        prepared = equalised(prepared, chosen, use_cache=use_cache, allow_other_rig=allow_other_rig, progress=progress)
+        found = calibrate(prepared, chosen, use_cache=use_cache, allow_other_rig=allow_other_rig, progress=progress)
         reached = "remembered from an earlier run" if found.from_cache else "run"
         say(f"calibrated on {len(found.frames.frames)} frames of {found.frames.source} ({reached})")
+        coverage = found.frames.coverage
+        if coverage is not None:
+            say(
+                f"coverage {coverage.score:.2f} of {coverage.pool} frames looked at "
+                f"(as many evenly spread frames: {coverage.even_score:.2f})"
+            )
 
         ranges = found.observation.ranges(method.value)
         shifts = corrections(
             prepared,
             found,
             ranges,
-            opened,
-            wanted=frames,
-            use_cache=not no_cache,
+            chosen,
+            use_cache=use_cache,
             allow_other_rig=allow_other_rig,
             progress=progress,
         )
-        looked_at = list(chosen_frames(opened, frames, PARITY_FRAMES))
+        looked_at = list(chosen.frames(PARITY_FRAMES))
 
     def write(place: Path, given_back: Sequence[str]) -> ModelDirectory:
         graph = build(prepared, found.observation, ranges, given_back=given_back, shifts=shifts)

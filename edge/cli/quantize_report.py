@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from edge.cli.quantize_overlap import warn_of_overlap
 from edge.cli.source_names import public_name
 from edge.cli.stages import warn
 
@@ -45,7 +46,7 @@ def report(
     """Measures, writes report.md and report.json into the model directory, and gives the tables to show."""
     from dataclasses import asdict
 
-    from calib.frames import chosen_frames, frame_feeds
+    from calib.frames import frame_feeds, spread_frames
     from edge.report.document import report_tables
     from edge.report.evidence import collect_evidence
     from edge.report.quantisation import (
@@ -72,6 +73,7 @@ def report(
         "recipe": f"{prepared.recipe.name} ({prepared.recipe.note})",
         "target": f"{prepared.recipe.target}, {prepared.recipe.verified}",
         "ranges": f"{method}, {len(found.frames.frames)} frames of {found.frames.source}",
+        **_coverage_facts(found),
         "calibration pixels SHA-256": found.frames.digest,
         "given back to float": ", ".join(given_back) or "nothing",
     }
@@ -87,9 +89,9 @@ def report(
             uri = f"{uri}{'&' if '?' in uri else '?'}limit={REPORT_FRAMES}"
         name = public_name(uri)
         with open_sequence(uri) as source:
-            if search is None:
-                warn_of_overlap(found, source)
-            pairs = list(chosen_frames(source, TIMED_FRAMES))
+            if validation is None:
+                warn_of_overlap(found.frames, source, name=name)
+            pairs = list(spread_frames(source, TIMED_FRAMES))
             feeds = list(frame_feeds(pairs[:NOISE_FRAMES], manifest, allow_other_rig=allow_other_rig))
             graph = build(prepared, found.observation, ranges, given_back=given_back, shifts=shifts)
             layers = layer_noise(prepared, graph, lambda: feeds)
@@ -124,6 +126,16 @@ def report(
     if search is not None and budget is not None:
         _budget_plot(written.path, record.budget, budget)
     return [*report_tables(measurements), cost_table(record), noise_table(record)]
+
+
+def _coverage_facts(found: Calibration) -> dict[str, str]:
+    coverage = found.frames.coverage
+    if coverage is None:
+        return {"frames chosen by": found.frames.method}
+    return {
+        "frames chosen by": f"{found.frames.method}, of {coverage.pool} looked at ({', '.join(coverage.looked_at)})",
+        "coverage of the calibration frames": f"{coverage.score:.2f} (evenly spread ones: {coverage.even_score:.2f})",
+    }
 
 
 def _budget_plot(folder: Path, rows: Sequence[Any], budget: float) -> None:
@@ -171,14 +183,3 @@ def _range_plots(prepared: Prepared, found: Calibration, ranges: Mapping[str, Ra
             RangePlot(title, seen.counts, seen.first_edge, seen.bin_width, low, high, seen.minimum, seen.maximum)
         )
     return plots
-
-
-def warn_of_overlap(found: Calibration, source: Any) -> None:
-    from calib.frames import overlap
-
-    shared = overlap(found.frames, source)
-    if shared:
-        warn(
-            f"{len(shared)} of the measured frames calibrated, too (the first is {shared[0]}): "
-            "the figures flatter INT8; measure on other frames"
-        )

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from edge.cli.quantize_report import warn_of_overlap
 from edge.cli.stages import say, stage_progress, warn
 
 if TYPE_CHECKING:
@@ -36,7 +35,7 @@ def search_in_budget(
     """Runs the budget search in a folder beside the result."""
     import tempfile
 
-    from calib.frames import chosen_frames, frame_feeds
+    from calib.frames import frame_feeds, spread_frames
     from edge.evaluation.measure import assess, measure, measurement
     from edge.evaluation.run import run_model
     from quantize.budget import ap_drop_points, disagreement_points, search_budget
@@ -44,7 +43,6 @@ def search_in_budget(
     from runtime.sources.factory import open_sequence
 
     with open_sequence(validation) as source:
-        warn_of_overlap(found, source)
         say(f"measuring the float model on {len(source)} frames")
         reference = assess(run_model(prepared.source.path, source, allow_other_rig=allow_other_rig, warn=warn))
         before = measurement(reference)
@@ -64,7 +62,7 @@ def search_in_budget(
             def rank() -> list[str]:
                 feeds = list(
                     frame_feeds(
-                        chosen_frames(source, RANKING_FRAMES), prepared.source.manifest, allow_other_rig=allow_other_rig
+                        spread_frames(source, RANKING_FRAMES), prepared.source.manifest, allow_other_rig=allow_other_rig
                     )
                 )
                 order = own_noise(prepared, found.observation, ranges, feeds, progress=progress)

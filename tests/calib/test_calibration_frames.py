@@ -1,4 +1,4 @@
-"""The choice of frames: spread, whole pairs, written down."""
+"""The frames of a choice: spread, whole pairs, written down."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.frames import chosen_frames, overlap, pixel_hash, record, spread_indices
-from runtime.contracts.errors import SourceError
+from calib.choice import METHODS, choose
+from calib.frames import pixel_hash, spread_frames, spread_indices
+from calib.overlap import neighbours, overlap
+from runtime.contracts.errors import FormatError, SourceError
 from runtime.contracts.frame import StereoFrame
 from runtime.contracts.geometry import StereoGeometry
 
@@ -20,11 +22,18 @@ def frame(number: int, *, right: bool = True) -> StereoFrame:
     return StereoFrame(image, 255 - image if right else None, 0.1 * number, number, f"{number:06d}", GEOMETRY)
 
 
+def choice(source, wanted, **options):
+    return choose(source, wanted, name="drive", use_cache=False, **options)
+
+
 class Live:
-    """Only iterates."""
+    """Only iterates, and only once."""
+
+    def __init__(self) -> None:
+        self.frames = iter([frame(number) for number in range(5)])
 
     def __iter__(self):
-        return iter([frame(number) for number in range(5)])
+        return self.frames
 
 
 @given(available=st.integers(1, 5000), wanted=st.integers(1, 600))
@@ -48,35 +57,62 @@ def test_none_is_refused(available, wanted, said) -> None:
 @pytest.mark.parametrize("source", [[], iter([])])
 def test_an_empty_source_is_refused(source) -> None:
     with pytest.raises(SourceError, match="no frames"):
-        list(chosen_frames(source, 3))
+        list(spread_frames(source, 3))
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("source", [[], iter([])])
+def test_nothing_is_chosen_from_an_empty_source(source, method) -> None:
+    with pytest.raises(SourceError, match="no frames"):
+        choice(source, 3, method=method)
+
+
+def test_an_unknown_method_is_refused() -> None:
+    with pytest.raises(FormatError, match="--choice: found 'best'"):
+        choice([frame(1)], 1, method="best")
 
 
 def test_recorded_sources_are_sampled_live_ones_begin_at_the_start() -> None:
     recorded = [frame(number) for number in range(10)]
-    assert [item.frame_id for item in chosen_frames(recorded, 2)] == ["000002", "000007"]
-    assert [item.frame_id for item in chosen_frames(Live(), 2)] == ["000000", "000001"]
+    assert [item.frame_id for item in spread_frames(recorded, 2)] == ["000002", "000007"]
+    assert [item.frame_id for item in spread_frames(Live(), 2)] == ["000000", "000001"]
 
 
-@given(available=st.integers(1, 300), wanted=st.integers(1, 60), few=st.integers(1, 12))
-def test_a_few_are_among_those_that_calibrate(available, wanted, few) -> None:
-    recorded = list(range(available))
-    all_of_them = list(chosen_frames(recorded, wanted))
-    some = list(chosen_frames(recorded, wanted, few))
-    assert set(some) <= set(all_of_them)
-    assert len(some) == min(few, wanted, available)
+@pytest.mark.parametrize("method", METHODS)
+def test_a_few_are_the_first_of_those_that_calibrate(method) -> None:
+    chosen = choice([frame(number) for number in range(20)], 6, method=method)
+    names = [item.frame_id for item in chosen.frames()]
+    assert len(set(names)) == 6
+    assert [item.frame_id for item in chosen.frames(4)] == names[:4]
+    assert [item.frame_id for item in chosen.chosen.first(4).frames] == names[:4]
+    assert chosen.chosen.first(4).digest != chosen.chosen.digest
 
 
-def test_a_few_of_a_live_source_are_its_first() -> None:
-    assert [item.frame_id for item in chosen_frames(Live(), 4, 2)] == ["000000", "000001"]
+def test_frames_spread_in_time_stay_spread_in_each_first_part() -> None:
+    indices = [
+        item.index for item in choice([frame(number) for number in range(100)], 20, method="spread").chosen.frames
+    ]
+    assert sorted(indices) == list(spread_indices(100, 20))
+    for few in (3, 5, 9):
+        gaps = np.diff(sorted(indices[:few]))
+        assert gaps.max() <= 2 * gaps.min() + 10  # bisection: a gap is whole or halved, to one place
+
+
+def test_a_live_source_is_read_once_and_its_first_frames_are_held() -> None:
+    chosen = choice(Live(), 4)
+    assert [item.frame_id for item in chosen.frames()] == ["000000", "000001", "000002", "000003"]
+    assert [item.frame_id for item in chosen.frames(2)] == ["000000", "000001"]
+    assert (chosen.chosen.available, chosen.chosen.method, chosen.chosen.coverage) == (None, "first", None)
 
 
 def test_the_choice_is_written_down() -> None:
-    chosen = record([frame(number) for number in range(10)], 2, name="drive")
-    assert (chosen.source, chosen.available) == ("drive", 10)
-    assert [item.frame_id for item in chosen.frames] == ["000002", "000007"]
-    assert chosen.frames[0].pixels == pixel_hash(frame(2))
-    assert chosen.digest != record([frame(number) for number in range(9)], 2, name="drive").digest
-    assert record(Live(), 2, name="camera").available is None
+    chosen = choice([frame(number) for number in range(10)], 2, method="spread").chosen
+    assert (chosen.source, chosen.available, chosen.method) == ("drive", 10, "spread")
+    assert {item.frame_id for item in chosen.frames} == {"000002", "000007"}
+    for item in chosen.frames:
+        assert item.pixels == pixel_hash(frame(item.index))
+    other = choice([frame(number) for number in range(9)], 2, method="spread").chosen
+    assert chosen.digest != other.digest
 
 
 def test_the_hash_covers_both_views() -> None:
@@ -90,25 +126,45 @@ def test_the_cameras_are_hashed_apart_from_the_pixels() -> None:
     moved = np.eye(3, 4)
     moved[0, 3] = -0.5
     cameras = [GEOMETRY, StereoGeometry(moved, GEOMETRY.P3, (4, 2)), StereoGeometry(GEOMETRY.P2, moved, (4, 2))]
-    records = [record([StereoFrame(seen.left, seen.right, 0.0, 0, "x", camera)], 1, name="drive") for camera in cameras]
+    records = [choice([StereoFrame(seen.left, seen.right, 0.0, 0, "x", camera)], 1).chosen for camera in cameras]
     assert len({chosen.digest for chosen in records}) == 1
     assert len({chosen.geometry_digest for chosen in records}) == 3
 
 
-def test_a_check_sees_the_chosen_frames_and_can_end_the_reading() -> None:
+@pytest.mark.parametrize("method", METHODS)
+def test_a_check_sees_the_chosen_frames_and_can_end_the_reading(method) -> None:
     seen: list[str] = []
-    record([frame(number) for number in range(10)], 2, name="drive", check=lambda item: seen.append(item.frame_id))
-    assert seen == ["000002", "000007"]
+    chosen = choice(
+        [frame(number) for number in range(10)], 2, method=method, check=lambda item: seen.append(item.frame_id)
+    )
+    assert {item.frame_id for item in chosen.chosen.frames} <= set(seen)
 
     def refuse(item: StereoFrame) -> None:
         raise SourceError("refused")
 
     with pytest.raises(SourceError, match="refused"):
-        record([frame(1)], 1, name="drive", check=refuse)
+        choice([frame(1)], 1, method=method, check=refuse)
 
 
 def test_overlap_is_found_by_pixels_not_by_name() -> None:
-    chosen = record([frame(1), frame(2)], 2, name="drive")
+    chosen = choice([frame(1), frame(2)], 2).chosen
     renamed = StereoFrame(frame(2).left, frame(2).right, 0.0, 0, "elsewhere/000077", GEOMETRY)
     assert overlap(chosen, [frame(5), renamed]) == ("elsewhere/000077",)
     assert overlap(chosen, [frame(5)]) == ()
+
+
+@pytest.mark.parametrize(
+    ("frame_id", "near"),
+    [
+        ("0003/000050", True),
+        ("0003/000060", True),
+        ("0003/000040", True),
+        ("0003/000061", False),  # eleven frames on
+        ("0004/000050", False),  # another drive
+        ("000050", False),  # a number alone: shuffled frames
+    ],
+)
+def test_frames_next_to_calibrating_ones_are_found_by_name(frame_id, near) -> None:
+    image = frame(1).left
+    chosen = choice([StereoFrame(image, image, 0.0, 0, "0003/000050", GEOMETRY)], 1).chosen
+    assert neighbours(chosen, ["0003/000000", frame_id]) == ((frame_id,) if near else ())

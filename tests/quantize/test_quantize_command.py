@@ -12,6 +12,7 @@ from typer.main import get_command
 
 pytest.importorskip("onnx")
 
+from calib.choice_record import read_choice
 from edge.cli.main import app
 from edge.cli.source_names import public_name
 from runtime.contracts.manifest import open_model_directory
@@ -79,10 +80,14 @@ def test_a_model_and_its_report_come_out(arguments, drives, tmp_path, capsys) ->
     assert open_model_directory(out).manifest.recipe == "static_wi8_au8_x86_vnni"
     names = {path.name for path in out.iterdir()}
     written = {"model.onnx", "manifest.json", "priors.npz", "card.md", "report.md", "report.json", "ranges.png"}
+    written |= {"calibration.json"}
     assert names - {"report-pictures"} == written
     record = json.loads((out / "report.json").read_text(encoding="utf-8"))
     done = record["quantisation"]
-    assert [frame["frame_id"] for frame in done["calibration_frames"]] == ["000000", "000002", "000003"]
+    assert [frame["frame_id"] for frame in done["calibration_frames"]] == [
+        frame.frame_id for frame in read_choice(out).frames
+    ]
+    assert done["calibration_frames"][0]["frame_id"] != done["calibration_frames"][1]["frame_id"]
     assert done["int8_share_of_multiply_adds"]["graph"] == 1.0
     assert len(done["layers"]) == 14
     assert len(done["latency"]) == 2
@@ -125,8 +130,14 @@ def test_a_model_and_its_report_come_out(arguments, drives, tmp_path, capsys) ->
     assert (out / "report-pictures" / "notes.txt").read_text() == "mine"
 
 
-def test_measuring_on_calibration_frames_is_warned_about(arguments, drives, tmp_path, capsys) -> None:
-    assert run(*arguments, "--out", tmp_path / "int8", "--validation", f"kitti-object:{drives[0]}") == 0
+def test_measuring_on_calibration_frames_is_refused_unless_allowed(arguments, drives, tmp_path, capsys) -> None:
+    validation = ["--validation", f"kitti-object:{drives[0]}"]
+    assert run(*arguments, "--out", tmp_path / "int8", *validation) == 2
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error:")]
+    assert "found 4 frames that calibrate, too (the first is 000000)" in line
+    assert "--allow-overlap" in line
+    assert not (tmp_path / "int8").exists()
+    assert run(*arguments, "--out", tmp_path / "int8", *validation, "--allow-overlap") == 0
     assert "4 of the measured frames calibrated, too" in capsys.readouterr().err
 
 

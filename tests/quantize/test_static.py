@@ -10,7 +10,8 @@ import pytest
 
 pytest.importorskip("onnx")
 
-from quantize.calibration import calibrate
+from calib.choice_record import read_choice
+from quantize.calibration import Calibration, calibrate, choose_frames
 from quantize.errors import QuantizeError
 from quantize.prepare import int8_share, prepare_model
 from quantize.recipe import recipe_for_target
@@ -41,10 +42,16 @@ def prepared(toy_directory: Path):
     return prepare_model(open_model_directory(toy_directory), recipe_for_target("x86-vnni"))
 
 
+def chosen_and_calibrated(prepared, source, wanted, *, use_cache=True, **options) -> Calibration:
+    """Both steps that look at frames."""
+    choice = choose_frames(prepared, source, wanted, name="drive", use_cache=use_cache, **options)
+    return calibrate(prepared, choice, use_cache=use_cache, allow_other_rig=options.get("allow_other_rig", False))
+
+
 @pytest.fixture
 def calibration(prepared, busy_drive: Path, cache_home: Path):
     with open_source(f"kitti-object:{busy_drive}") as source:
-        return calibrate(prepared, source, FRAMES, name="drive")
+        return chosen_and_calibrated(prepared, source, FRAMES)
 
 
 @pytest.fixture
@@ -67,7 +74,8 @@ def test_a_model_directory_comes_out_that_detects(prepared, calibration, toy_dir
     written = write_directory(prepared, graph, calibration, out, method="mse")
     assert written.manifest.recipe == "static_wi8_au8_x86_vnni"
     facts = written.manifest.provenance
-    assert facts["calibration_frames"] == "000000 000002 000003"
+    assert facts["calibration_frames"].split() == [frame.frame_id for frame in calibration.frames.frames]
+    assert read_choice(out).frames == calibration.frames.frames
     assert facts["calibration_pixels_sha256"] == calibration.frames.digest
     assert facts["given_back_to_float"] == "none"
     assert {"onnx", "onnxruntime", "python"} <= set(written.manifest.tools)
@@ -77,7 +85,9 @@ def test_a_model_directory_comes_out_that_detects(prepared, calibration, toy_dir
     assert "Data: none." in card  # the rest is the float model's
     assert "## INT8" in card
     assert sorted(path.name for path in out.parent.iterdir()) == ["int8"], "nothing is left beside it"
-    assert sorted(path.name for path in out.iterdir()) == ["card.md", "manifest.json", "model.onnx", "priors.npz"]
+    assert sorted(path.name for path in out.iterdir()) == [
+        *("calibration.json", "card.md", "manifest.json", "model.onnx", "priors.npz")
+    ]
     with open_source(f"kitti-object:{busy_drive}") as source, open_detector(out) as detector:
         detections, _ = detector(source[0])
         assert np.isfinite(detections.center_in_camera).all()
@@ -92,10 +102,10 @@ def test_the_same_run_gives_the_same_bytes(prepared, calibration) -> None:
 
 def test_the_cache_gives_what_the_run_gave(prepared, busy_drive, cache_home) -> None:
     with open_source(f"kitti-object:{busy_drive}") as source:
-        first = calibrate(prepared, source, FRAMES, name="drive")
-        again = calibrate(prepared, source, FRAMES, name="drive")
-        fewer = calibrate(prepared, source, FRAMES - 1, name="drive")
-        without = calibrate(prepared, source, FRAMES, name="drive", use_cache=False)
+        first = chosen_and_calibrated(prepared, source, FRAMES)
+        again = chosen_and_calibrated(prepared, source, FRAMES)
+        fewer = chosen_and_calibrated(prepared, source, FRAMES - 1)
+        without = chosen_and_calibrated(prepared, source, FRAMES, use_cache=False)
     assert [item.from_cache for item in (first, again, fewer, without)] == [False, True, False, False]
     for method in ("minmax", "percentile", "mse", "entropy"):
         assert (
@@ -109,7 +119,7 @@ def test_the_cache_gives_what_the_run_gave(prepared, busy_drive, cache_home) -> 
 
 def test_without_the_cache_nothing_is_written_there(prepared, busy_drive, cache_home) -> None:
     with open_source(f"kitti-object:{busy_drive}") as source:
-        calibrate(prepared, source, FRAMES, name="drive", use_cache=False)
+        chosen_and_calibrated(prepared, source, FRAMES, use_cache=False)
     assert not cache_home.exists()
 
 
@@ -117,11 +127,11 @@ def test_changed_pixels_miss_the_cache(prepared, busy_drive, cache_home) -> None
     import cv2
 
     with open_source(f"kitti-object:{busy_drive}") as source:
-        calibrate(prepared, source, FRAMES, name="drive")
+        chosen_and_calibrated(prepared, source, FRAMES)
     path = next((busy_drive / "training" / "image_2").iterdir())
     assert cv2.imwrite(str(path), 255 - cv2.imread(str(path)))
     with open_source(f"kitti-object:{busy_drive}") as source:
-        assert not calibrate(prepared, source, 4, name="drive").from_cache
+        assert not chosen_and_calibrated(prepared, source, 4).from_cache
 
 
 def replace_in_calibration(drive: Path, old: str, new: str) -> None:
@@ -134,13 +144,13 @@ def replace_in_calibration(drive: Path, old: str, new: str) -> None:
 def test_the_same_pixels_of_another_camera_miss_the_cache(prepared, busy_drive, cache_home) -> None:
     """The camera decides which rows are fed and how they are scaled."""
     with open_source(f"kitti-object:{busy_drive}") as source:
-        first = calibrate(prepared, source, FRAMES, name="drive")
+        first = chosen_and_calibrated(prepared, source, FRAMES)
     replace_in_calibration(busy_drive, FOCAL_PX, "2.040000000000e+02")  # within what is tolerated silently
     with open_source(f"kitti-object:{busy_drive}") as source:
-        second = calibrate(prepared, source, FRAMES, name="drive")
+        second = chosen_and_calibrated(prepared, source, FRAMES)
     assert first.frames.digest == second.frames.digest
     assert not second.from_cache
-    assert len(list(cache_home.rglob("*.npz"))) == 2
+    assert len(list(cache_home.glob("*/calibration/*.npz"))) == 2
 
 
 def test_another_normalisation_misses_the_cache(prepared, busy_drive, cache_home) -> None:
@@ -149,8 +159,8 @@ def test_another_normalisation_misses_the_cache(prepared, busy_drive, cache_home
     )
     other = dataclasses.replace(prepared, source=dataclasses.replace(prepared.source, manifest=manifest))
     with open_source(f"kitti-object:{busy_drive}") as source:
-        calibrate(prepared, source, FRAMES, name="drive")
-        assert not calibrate(other, source, FRAMES, name="drive").from_cache
+        chosen_and_calibrated(prepared, source, FRAMES)
+        assert not chosen_and_calibrated(other, source, FRAMES).from_cache
 
 
 def test_the_cache_does_not_spare_the_rig_check(prepared, busy_drive, cache_home) -> None:
@@ -158,11 +168,11 @@ def test_the_cache_does_not_spare_the_rig_check(prepared, busy_drive, cache_home
     with open_source(f"kitti-object:{busy_drive}") as source:
         told: list[str] = []
         for from_cache in (False, True):
-            found = calibrate(prepared, source, 4, name="drive", allow_other_rig=True, warn=told.append)
+            found = chosen_and_calibrated(prepared, source, 4, allow_other_rig=True, warn=told.append)
             assert found.from_cache is from_cache
         assert [line.partition(":")[0] for line in told] == ["rig", "rig"], "once a run"
         with pytest.raises(RigError, match="focal length"):
-            calibrate(prepared, source, 4, name="drive")
+            chosen_and_calibrated(prepared, source, 4)
 
 
 def test_every_layer_is_close_to_its_float_twin(prepared, calibration, toy_feeds) -> None:
@@ -214,22 +224,22 @@ def test_the_float_model_is_not_overwritten(prepared, calibration, toy_directory
 def test_frames_of_another_rig_are_refused(prepared, busy_drive, cache_home) -> None:
     replace_in_calibration(busy_drive, FOCAL_PX, "4.000000000000e+02")
     with open_source(f"kitti-object:{busy_drive}") as source, pytest.raises(RigError, match="focal length"):
-        calibrate(prepared, source, FRAMES, name="drive")
+        chosen_and_calibrated(prepared, source, FRAMES)
 
 
 def test_no_frames_and_one_view_are_refused(prepared, busy_drive, cache_home) -> None:
     with pytest.raises(SourceError, match="found no frames"):
-        calibrate(prepared, [], FRAMES, name="nothing")
+        chosen_and_calibrated(prepared, [], FRAMES)
     with (
         open_source(f"kitti-object:{busy_drive}?views=left") as source,
         pytest.raises(FrameError, match="no right image"),
     ):
-        calibrate(prepared, source, FRAMES, name="drive")
+        chosen_and_calibrated(prepared, source, FRAMES)
 
 
 def test_fewer_frames_than_wanted_are_said(prepared, busy_drive, cache_home) -> None:
     told: list[str] = []
     with open_source(f"kitti-object:{busy_drive}") as source:
-        calibration = calibrate(prepared, source, 100, name="drive", warn=told.append)
+        calibration = chosen_and_calibrated(prepared, source, 100, warn=told.append)
     assert len(calibration.frames.frames) == 4
     assert any("4 frames, 100 were wanted" in line for line in told)

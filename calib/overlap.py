@@ -1,0 +1,44 @@
+"""Whether frames that measure calibrated, too, or were taken a moment before or after some that did."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+
+from calib.frames import CalibrationSet, pixel_hash
+from runtime.contracts.frame import StereoFrame
+
+NEAR_FRAMES = 10
+"""A second at camera rate: what is seen then is the same street with the same cars."""
+_NUMBERED = re.compile(r"(?P<drive>.+)/(?P<number>\d+)")
+
+
+def overlap(calibration: CalibrationSet, measuring: Iterable[StereoFrame]) -> tuple[str, ...]:
+    """Ids of measuring frames whose pixels calibrated, too."""
+    known = {frame.pixels for frame in calibration.frames}
+    return tuple(frame.frame_id for frame in measuring if pixel_hash(frame) in known)
+
+
+def neighbours(calibration: CalibrationSet, frame_ids: Iterable[str], *, near: int = NEAR_FRAMES) -> tuple[str, ...]:
+    """Ids ``drive/number`` within ``near`` frames of a calibration frame of the same drive, itself included.
+
+    Numbers without a drive say nothing: KITTI's object frames are shuffled.
+
+    Args:
+        calibration: The choice.
+        frame_ids: Of the same recording.
+        near: How many frames away counts as a neighbour.
+    """
+    numbers: dict[str, list[int]] = {}
+    for frame in calibration.frames:
+        named = _NUMBERED.fullmatch(frame.frame_id)
+        if named is not None:
+            numbers.setdefault(named["drive"], []).append(int(named["number"]))
+    found = []
+    for frame_id in frame_ids:
+        named = _NUMBERED.fullmatch(frame_id)
+        if named is None:
+            continue
+        if any(abs(int(named["number"]) - number) <= near for number in numbers.get(named["drive"], ())):
+            found.append(frame_id)
+    return tuple(found)

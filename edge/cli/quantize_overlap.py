@@ -1,0 +1,68 @@
+"""Frames that calibrate must not measure: refused where the user named both, said where the bundled ones are taken."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from edge.cli.stages import warn
+
+if TYPE_CHECKING:
+    from calib.frames import CalibrationSet
+
+
+def refuse_overlap(chosen: CalibrationSet, validation: str, *, allow: bool) -> None:
+    """Compares the pixels of calibration and validation frames before minutes go by.
+
+    Args:
+        chosen: The calibration frames.
+        validation: URI of the frames that measure.
+        allow: Warn instead.
+
+    Raises:
+        QuantizeError: A frame does both.
+    """
+    from calib.overlap import overlap
+    from edge.cli.source_names import public_name
+    from quantize.errors import QuantizeError
+    from runtime.sources.factory import open_sequence
+
+    name = public_name(validation)
+    with open_sequence(validation) as source:
+        if allow:
+            warn_of_overlap(chosen, source, name=name)
+            return
+        shared = overlap(chosen, source)
+        if shared:
+            raise QuantizeError(
+                f"--validation: found {len(shared)} frames that calibrate, too (the first is {shared[0]}); expected "
+                "other frames, since the figures would flatter INT8; name another source or split, or pass "
+                "--allow-overlap"
+            )
+        _warn_of_neighbours(chosen, source, name=name)
+
+
+def warn_of_overlap(chosen: CalibrationSet, source: Any, *, name: str) -> None:
+    """One line where frames of an entered source calibrated, too, or were taken next to some that did."""
+    from calib.overlap import overlap
+
+    shared = overlap(chosen, source)
+    if shared:
+        warn(
+            f"{len(shared)} of the measured frames calibrated, too (the first is {shared[0]}): "
+            "the figures flatter INT8; measure on other frames"
+        )
+        return
+    _warn_of_neighbours(chosen, source, name=name)
+
+
+def _warn_of_neighbours(chosen: CalibrationSet, source: Any, *, name: str) -> None:
+    from calib.overlap import NEAR_FRAMES, neighbours
+
+    if chosen.source.partition("?")[0] != name.partition("?")[0]:
+        return  # the same numbers of another recording
+    near = neighbours(chosen, (source.frame_id(index) for index in range(len(source))))
+    if near:
+        warn(
+            f"{len(near)} of the measured frames lie within {NEAR_FRAMES} frames of one that calibrates, in the same "
+            f"drive (the first is {near[0]}): the figures may flatter INT8; measure on another drive"
+        )
