@@ -66,6 +66,7 @@ def export_command(
     from edge.detector.weights import check_ablations, check_priors, load_weights
     from edge.samples import calibration_source
     from edge.training.methods import with_method_of
+    from edge.training.rig import with_rig_of
     from edge.zoo.card import model_card
     from edge.zoo.priors import BUNDLED_ORIGIN, find_priors, official_classes, uses_bundled_priors
     from export.package import write_model_directory
@@ -79,7 +80,7 @@ def export_command(
 
     console = Console(stderr=True, highlight=False)
     weights = read_checkpoint(checkpoint)
-    named = with_method_of(ablated(find_preset(preset), ablate or []), checkpoint)
+    named = with_rig_of(with_method_of(ablated(find_preset(preset), ablate or []), checkpoint), checkpoint)
     names = tuple(name.strip() for name in classes.split(",")) if classes else None
     if names is None and class_count(named, weights) != len(named.classes):
         by_priors = official_classes(priors or checkpoint.parent)

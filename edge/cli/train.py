@@ -105,6 +105,7 @@ def train_command(
     from edge.training.methods import with_method
     from edge.training.paste import object_paster
     from edge.training.precision import wants_mixed_precision
+    from edge.training.rig import rig_metadata, with_rig_of_data
     from edge.training.run_record import RunSettings, check_same_run, write_settings
     from edge.training.samples import SampleMaker
     from edge.training.schedule import schedule_kind
@@ -127,6 +128,7 @@ def train_command(
     ranks = ranks_of_environment()
     ranks.share_of(batch_size)
     sources = [open_sequence(uri) for uri in dataset]
+    chosen = with_rig_of_data(chosen, sources)
     measured = open_sequence(validation) if validation is not None else None
     first_step = 0
     if ranks.writes:  # before the others join: what is wrong is said once
@@ -174,6 +176,7 @@ def train_command(
             "method": method or "preset",
             "seed": str(seed),
             PRIORS_KEY: priors_digest(tables, chosen.classes),
+            **rig_metadata(chosen),
         }
         validate = None
         if measured is not None:
