@@ -3,9 +3,10 @@
 Forward, every convolution's weight and every tensor that the INT8 graph stores in 8 bits is rounded to 256 levels;
 backward, rounding counts as the identity (straight-through; Jacob et al., Quantization and Training of Neural
 Networks, 2018, section 3). The places are those of `quantize.placement`: what a convolution gives behind its norm and
-ReLU, sums, concatenations, pools, correlations, and the outputs with a range a column. A norm that the export folds
-into its convolution changes no level of the weight, as each output channel has a scale of its own. Ranges are what
-`calib.methods.mse_range` makes of a thinned-out batch, averaged over steps; the columns' are running extremes.
+ReLU, sums, concatenations, pools, correlations, and outputs that are not exact (`quantize.ends`) with a range a
+column. A norm that the export folds into its convolution changes no level of the weight, as each output channel has
+a scale of its own. Ranges are what `calib.methods.mse_range` makes of a thinned-out batch, averaged over steps; the
+columns' are running extremes.
 
 Nothing of this is in the module: hooks that `FakeQuantisation.remove` takes away, no parameter, no buffer, no name.
 """
@@ -250,8 +251,12 @@ def _outputs(name: str, module: nn.Module) -> Iterator[tuple[str, nn.Module, dic
     if isinstance(module, ExpandAndMix) and isinstance(module.pool, nn.AvgPool2d):
         yield f"{name}.pool", module.pool, {}
     if isinstance(module, AnchorHead):
-        yield f"{name}.logits", module.classification[-1], {"columns": module.logit_count}
-        yield f"{name}.deltas", module.regression[-1], {"columns": DELTA_COUNT}
+        for output, last, columns in (
+            ("logits", module.classification[-1], module.logit_count),
+            ("deltas", module.regression[-1], DELTA_COUNT),
+        ):
+            if last.kernel_size != (1, 1):  # the sums of a 1x1 convolution become the output unrounded
+                yield f"{name}.{output}", last, {"columns": columns}
     if isinstance(module, DeformableConv2d):
         yield f"{name}.conv_offset", module.conv_offset, {}
     if isinstance(module, nn.Sequential):

@@ -28,8 +28,8 @@ pytestmark = [pytest.mark.torch, pytest.mark.usefixtures("one_thread")]
 MODEL = Path(__file__).parents[3] / "edge/zoo/compact-int8/model.onnx"
 OUTPUT_SCALE = 6
 STEPS = 4
-VISIBLE = 1e-4
-"""Of an output's standard deviation: rounding to 256 levels moves it by more, float32 rounding by less."""
+VISIBLE = 1e-5
+"""Of an output's standard deviation, mostly biases': 256 levels move it by more, float32's rounding (1e-7) does not."""
 
 
 def detector_of(chosen: Preset) -> torch.nn.Module:
@@ -138,9 +138,8 @@ def test_places_are_as_many_as_the_int8_graph_has_scales() -> None:
     graph = onnx.load(MODEL).graph
     scale_at = {"QuantizeLinear": 1, "QLinearStereoCorrelation": OUTPUT_SCALE}
     scales = {node.input[scale_at[node.op_type]] for node in graph.node if node.op_type in scale_at}
-    columns = sum(name.endswith("_column_scale") for name in (item.name for item in graph.initializer))
     rounding = FakeQuantisation(build_detector(preset("compact")))
-    assert len(rounding.places) == len(scales - {"one_step"}) + columns
+    assert len(rounding.places) == len(scales - {"one_step"})
 
 
 def test_gradients_pass_to_all_that_learns(toy: ModuleType) -> None:
@@ -170,7 +169,9 @@ def test_the_monocular_head_with_its_deformable_convolution() -> None:
         rounding.begin_step()
         for one, other in zip(plain, detector(*images), strict=True):
             assert VISIBLE < float((one - other).std() / one.std()) < 1
-    assert {"head.regression.0.conv_offset", "head.regression.1"} <= set(rounding.state()["bounds"])
+    assert {"head.regression.0.conv_offset", "head.regression.1", "head.logits", "head.deltas"} <= set(
+        rounding.state()["bounds"]
+    )
 
 
 def settings(steps: int, *, quantize_aware: bool) -> RunSettings:
