@@ -26,6 +26,8 @@ from runtime.contracts.objects import Detections3D
 Pixels = NDArray[np.uint8]
 FloatImage = NDArray[np.float32]
 
+SMOOTHING_PX: Final = 1.0
+"""Deviation of the Gaussian that takes sensor noise and lookup error out before anything is compared."""
 WINDOW_PX: Final = 11
 """Side of the square over which brightness and contrast are normalised."""
 CONTRAST_FLOOR: Final = 4.0
@@ -155,7 +157,7 @@ def _rows(found: Detections3D, height: int) -> tuple[int, int]:
 
 def _normalised(image: Pixels) -> FloatImage:
     """Grey with local mean 0 and local contrast near 1."""
-    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.float32)
+    grey = cv2.GaussianBlur(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.float32), (0, 0), SMOOTHING_PX)
     window = (WINDOW_PX, WINDOW_PX)
     mean = cv2.blur(grey, window)
     contrast = np.sqrt(np.maximum(cv2.blur(grey * grey, window) - mean * mean, 0.0)) + CONTRAST_FLOOR
