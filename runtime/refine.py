@@ -30,7 +30,7 @@ SMOOTHING_PX: Final = 1.0
 """Deviation of the Gaussian that takes sensor noise and lookup error out before anything is compared."""
 WINDOW_PX: Final = 11
 """Side of the square over which brightness and contrast are normalised."""
-CONTRAST_FLOOR: Final = 4.0
+CONTRAST_FLOOR: Final = 2.0
 """Grey levels added to the local contrast: flat walls stay flat."""
 SATURATION: Final = 1.0
 """Normalised difference from which on a pixel counts as not matching at all."""
