@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.training.disparity_targets import grey_of
-from edge.training.object_masks import ViewMask, object_in_view
+from edge.training.object_masks import ViewMask, agreed_mask, look_for_object
 from runtime.contracts.geometry import FloatArray, StereoGeometry, project_to_image
 from runtime.contracts.objects import Objects3D, box_corners
 from runtime.sources.base import FrameSequence
@@ -25,7 +25,7 @@ DEPTH_LIMITS_M = (4.5, 32.0)
 BORDER_PX = 3.0
 MAX_COVERED_SHARE = 0.02  # by the 2D box of a nearer object
 MIN_OUTLINE_IOU = 0.7  # of the mask's bounding box and the label's
-MIN_AGREEMENT = 0.75  # IoU of the two views' masks, one moved by the disparity
+MIN_AGREEMENT = 0.68  # share of the mask that three of four votes are for
 MIN_TEXTURE = 12.0  # standard deviation of grey levels inside
 MEMBERS = 60  # of a class in a source
 NEIGHBOURS_TRIED = 6  # where one cannot be cut out cleanly
@@ -170,14 +170,18 @@ def cut_out(
     grey = [grey_of(image) for image in (left, right)]
     name = objects.class_names[objects.class_id[row]]
     shown = {"geometry": geometry, "objects": objects, "row": row, "without_ground": name != "Car"}
-    left_mask = object_in_view(grey[0], grey[1], picture=left, box=box, **shown)  # type: ignore[arg-type]
-    if left_mask is None or _outline_iou(left_mask, box) < MIN_OUTLINE_IOU:
+    evidence = [
+        look_for_object(grey[0], grey[1], picture=left, box=box, **shown),  # type: ignore[arg-type]
+        look_for_object(grey[1], grey[0], picture=right, box=box_in_right, right=True, **shown),  # type: ignore[arg-type]
+    ]
+    if evidence[0] is None or evidence[1] is None:
         return None
-    right_mask = object_in_view(grey[1], grey[0], picture=right, box=box_in_right, right=True, **shown)  # type: ignore[arg-type]
-    if right_mask is None or abs(right_mask.disparity_px - left_mask.disparity_px) > 1.5:
+    left_mask = agreed_mask(evidence[0], evidence[1])
+    right_mask = agreed_mask(evidence[1], evidence[0], right=True)
+    if left_mask is None or right_mask is None or _outline_iou(left_mask, box) < MIN_OUTLINE_IOU:
         return None
     inside = _window(grey[0], left_mask)[left_mask.opacity > 0.5]
-    if _agreement(left_mask, right_mask) < MIN_AGREEMENT or inside.std() < MIN_TEXTURE:
+    if min(left_mask.agreement, right_mask.agreement) < MIN_AGREEMENT or inside.std() < MIN_TEXTURE:
         return None
     around = _window(left, left_mask)[left_mask.opacity < 0.05]
     return ObjectCut(
@@ -200,20 +204,6 @@ def _window(image: NDArray[np.uint8], mask: ViewMask) -> NDArray[np.uint8]:
 
 def _view_cut(image: NDArray[np.uint8], mask: ViewMask) -> ViewCut:
     return ViewCut(mask.corner_xy, _window(image, mask).copy(), mask.opacity)
-
-
-def _agreement(left: ViewMask, right: ViewMask) -> float:
-    """IoU of the two masks, the right one moved by the disparity: what leaks into the background does so elsewhere."""
-    shift = round(left.corner_xy[0] - left.disparity_px) - right.corner_xy[0]
-    height = min(left.opacity.shape[0], right.opacity.shape[0])
-    first, last = max(shift, 0), min(shift + left.opacity.shape[1], right.opacity.shape[1])
-    if last <= first:
-        return 0.0
-    one = left.opacity[:height, first - shift : last - shift] > 0.5
-    other = right.opacity[:height, first:last] > 0.5
-    return float(
-        (one & other).sum() / max((left.opacity > 0.5).sum() + (right.opacity > 0.5).sum() - (one & other).sum(), 1)
-    )
 
 
 def _outline_iou(mask: ViewMask, box: FloatArray) -> float:

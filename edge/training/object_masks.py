@@ -2,7 +2,8 @@
 
 Each pixel's ray is cut with the box, a little enlarged; the pixel is the object's where semi-global matching finds it
 between the ray's entry and its exit. So the outline needs no drawn masks, and serves recorded and simulated pairs
-alike. Each view is measured on its own, by mirroring the pair for the right one.
+alike. Each view is measured on its own, by mirroring the pair for the right one, and cut along the picture's edges; the
+four outlines, moved by the disparity, then vote: what leaks into the background does so elsewhere in the other view.
 """
 
 from __future__ import annotations
@@ -26,6 +27,24 @@ MIN_MATCHED_SHARE = 0.35  # of the outline, else there is too little texture to 
 CUT_HEIGHT_PX = 110  # larger windows are refined at this height, for speed
 CUT_ROUNDS = 2
 GROUND_SLACK_PX = 0.7
+MIN_VOTES, SURE_VOTES = 1.9, 2.9  # of four
+
+
+@dataclass(frozen=True, slots=True)
+class ViewEvidence:
+    """What one view alone says of an object's pixels.
+
+    Attributes:
+        corner_xy: column and row of the window in the view.
+        matched: (h, w) 0 or 1, where matching finds the box.
+        cut: (h, w) 0 or 1, the same moved to the picture's edges.
+        disparity_px: (h, w) within the box; the object's median where nothing matched.
+    """
+
+    corner_xy: tuple[int, int]
+    matched: NDArray[np.uint8]
+    cut: NDArray[np.uint8]
+    disparity_px: NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,12 +54,12 @@ class ViewMask:
     Attributes:
         corner_xy: column and row of the window in the view.
         opacity: (h, w) float32, 1 inside, soft at the edge.
-        disparity_px: median of the measured disparity inside.
+        agreement: share of the mask that nearly all votes agree on.
     """
 
     corner_xy: tuple[int, int]
     opacity: NDArray[np.float32]
-    disparity_px: float
+    agreement: float
 
 
 def depth_along_rays(
@@ -81,7 +100,7 @@ def depth_along_rays(
     )
 
 
-def object_in_view(
+def look_for_object(
     reference: NDArray[np.uint8],
     other: NDArray[np.uint8],
     *,
@@ -92,7 +111,7 @@ def object_in_view(
     box: FloatArray,
     right: bool = False,
     without_ground: bool = False,
-) -> ViewMask | None:
+) -> ViewEvidence | None:
     """Find an object's pixels in one view.
 
     Args:
@@ -137,8 +156,34 @@ def object_in_view(
         inside &= ~ground
     solid = _one_piece(inside.astype(np.uint8))
     refined = _along_edges(picture[y1:y2, x1:x2], solid, (outline & ~behind).astype(np.uint8))
-    opacity = cv2.GaussianBlur(refined.astype(np.float32), (5, 5), EDGE_SOFTNESS_PX)
-    return ViewMask((x1, y1), opacity, float(np.median(found[inside])))
+    known = np.where(inside, found, np.median(found[inside]))
+    return ViewEvidence((x1, y1), solid, refined, known.astype(np.float32))
+
+
+def agreed_mask(one: ViewEvidence, other: ViewEvidence, *, right: bool = False) -> ViewMask | None:
+    """The pixels of a view that two of four outlines call the object's: both views' own and cut ones.
+
+    Args:
+        one: of the view that is asked about.
+        other: of its twin.
+        right: ``one`` is the right view.
+
+    Returns:
+        None where nothing is left.
+    """
+    height, width = one.matched.shape
+    columns, rows = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+    shift = one.disparity_px if right else -one.disparity_px
+    columns += shift + np.float32(one.corner_xy[0] - other.corner_xy[0])
+    rows += np.float32(one.corner_xy[1] - other.corner_xy[1])
+    votes = one.matched.astype(np.float32) + one.cut
+    votes += cv2.remap((other.matched + other.cut).astype(np.float32), columns, rows, cv2.INTER_LINEAR)
+    likely = votes >= MIN_VOTES
+    if not likely.any():
+        return None
+    solid = _one_piece(likely.astype(np.uint8))
+    opacity = cv2.GaussianBlur(solid.astype(np.float32), (5, 5), EDGE_SOFTNESS_PX)
+    return ViewMask(one.corner_xy, opacity, float((votes[solid > 0] > SURE_VOTES).mean()) if solid.any() else 0.0)
 
 
 def _disparity(
