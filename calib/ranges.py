@@ -80,10 +80,59 @@ def observe(
     Raises:
         FormatError: There was no frame, or a value was not finite.
     """
+    found = observe_prefixes(
+        model,
+        feeds,
+        counts=(),
+        tensors=tensors,
+        channel_tensors=channel_tensors,
+        bytes_of=bytes_of,
+        frame_count=frame_count,
+        progress=progress,
+    )
+    return found[max(found)]
+
+
+def observe_prefixes(
+    model: onnx.ModelProto,
+    feeds: Callable[[], Iterable[Feeds]],
+    *,
+    counts: Sequence[int],
+    tensors: Sequence[str],
+    channel_tensors: Sequence[str] = (),
+    bytes_of: Mapping[str, int] | None = None,
+    frame_count: int = 0,
+    progress: Progress = no_progress,
+) -> dict[int, Observation]:
+    """As `observe`, with what was seen after the first few frames, too: one run for a whole curve.
+
+    Args:
+        model: The float model.
+        feeds: As `observe`.
+        counts: After how many frames to note what was seen; those beyond the last frame are left out.
+        tensors: As `observe`.
+        channel_tensors: As `observe`.
+        bytes_of: As `observe`.
+        frame_count: As `observe`.
+        progress: As `observe`.
+
+    Returns:
+        Observation by number of frames; that of all frames always among them.
+
+    Raises:
+        FormatError: As `observe`.
+    """
     histograms = {name: StreamingHistogram() for name in tensors}
     channels = {name: ChannelExtremes() for name in channel_tensors}
     wanted = list(dict.fromkeys([*tensors, *channel_tensors]))
     groups = split_groups(wanted, bytes_of or {})
+    seen: dict[int, Observation] = {}
+
+    def note(group: Sequence[str], frames: int) -> None:
+        noted = seen.setdefault(frames, Observation({}, {}, frames))
+        noted.tensors.update({name: histograms[name].statistics() for name in group if name in histograms})
+        noted.channels.update({name: channels[name].extremes() for name in group if name in channels})
+
     frames = 0
     for number, group in enumerate(groups):
         stage = "calibrating" if len(groups) == 1 else f"calibrating, part {number + 1} of {len(groups)}"
@@ -96,14 +145,14 @@ def observe(
                     if name in channels:
                         channels[name].update(values)
                 frames += 1
+                if frames in counts:
+                    note(group, frames)
                 progress(stage, frames, max(frame_count, frames))
+        if frames > 0:
+            note(group, frames)
     if frames == 0:
         raise FormatError("calibration: found no frames; expected one or more; give a source with frames")
-    return Observation(
-        {name: histogram.statistics() for name, histogram in histograms.items()},
-        {name: extremes.extremes() for name, extremes in channels.items()},
-        frames,
-    )
+    return seen
 
 
 def split_groups(names: Sequence[str], bytes_of: Mapping[str, int], limit_bytes: int = GROUP_BYTES) -> list[list[str]]:

@@ -14,7 +14,7 @@ from runtime.contracts.manifest import MANIFEST_FILE, MODEL_FILE, PRIORS_FILE, p
 
 WRITTEN_FILES = (
     *(MODEL_FILE, MANIFEST_FILE, PRIORS_FILE),
-    *("card.md", "report.md", "report.json", "calibration.json", "budget.png", "ranges.png"),
+    *("card.md", "report.md", "report.json", "calibration.json", "curve.json", "curve.png", "budget.png", "ranges.png"),
 )
 """What a model directory may hold and still be replaced by a newer one."""
 REPORT_PICTURES, PICTURE_SUFFIX = "report-pictures", ".jpg"

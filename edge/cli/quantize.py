@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from edge.cli.quantize_checks import PARITY_FRAMES, how_to_repeat, look_at_pixels
+from edge.cli.quantize_curve import curve_counts, write_curve_of
 from edge.cli.quantize_input import check_out, check_validation, wanted_budget
 from edge.cli.quantize_overlap import refuse_overlap
 from edge.cli.quantize_report import report
@@ -66,6 +67,9 @@ def quantize_command(
         float | None,
         typer.Option(help="The budget without labels: per cent of detections that may differ from the float model's."),
     ] = None,
+    curve: Annotated[
+        str | None, typer.Option(help="Also measure models of so many calibration frames, for example 1,4,16,64.")
+    ] = None,
     allow_overlap: Annotated[
         bool, typer.Option("--allow-overlap", help="Measure on calibration frames, too, with a warning.")
     ] = False,
@@ -88,6 +92,7 @@ def quantize_command(
     from runtime.contracts.manifest import open_model_directory
     from runtime.sources.factory import open_sequence
 
+    counts = curve_counts(curve)
     budget = wanted_budget(max_drop, max_disagreement, validation)
     began_secs = time.perf_counter()
     directory = open_model_directory(model)
@@ -175,6 +180,18 @@ def quantize_command(
         repeat=how_to_repeat(context, prepared, found, written, given_back=given_back),
         allow_other_rig=allow_other_rig,
     )
+    if counts:
+        write_curve_of(
+            prepared,
+            out,
+            counts,
+            calibration=uri,
+            choice=choice.value,
+            validation=validation,
+            method=method.value,
+            use_cache=use_cache,
+            allow_other_rig=allow_other_rig,
+        )
     console = report_console()
     for table in tables:
         show_table(console, table, text_columns=2)

@@ -91,6 +91,8 @@ def test_a_model_and_its_report_come_out(arguments, drives, tmp_path, capsys) ->
     assert done["int8_share_of_multiply_adds"]["graph"] == 1.0
     assert len(done["layers"]) == 14
     assert len(done["latency"]) == 2
+    if Path("/proc/self/status").is_file():
+        assert all(item["peak_mib"] > item["before_mib"] > 0 for item in done["memory"])
     shown = record["evidence"]
     assert {change["picture"] for change in shown["changes"] if change["picture"]} <= {
         path.relative_to(out).as_posix() for path in out.glob("report-pictures/*.jpg")
@@ -243,3 +245,26 @@ def test_frames_of_another_camera_are_refused(arguments, drives, tmp_path, capsy
 )
 def test_names_of_sources_hold_no_folders(uri, shown) -> None:
     assert public_name(uri) == shown
+
+
+def test_a_curve_over_the_number_of_frames(arguments, drives, tmp_path, capsys) -> None:
+    out = tmp_path / "int8"
+    assert run(*arguments, "--out", out, "--validation", f"kitti-object:{drives[1]}", "--curve", "1,3") == 0
+    points = json.loads((out / "curve.json").read_text(encoding="utf-8"))["points"]
+    assert [(item["choice"], item["frames"]) for item in points] == [
+        ("coverage", 1), ("coverage", 3), ("spread", 1), ("spread", 3),
+    ]  # fmt: skip
+    assert all(0 <= item["matched_share"] <= 1 for item in points)
+    assert [item["coverage"] for item in points if item["choice"] == "coverage"] == sorted(
+        item["coverage"] for item in points if item["choice"] == "coverage"
+    )
+    assert (out / "curve.png").stat().st_size > 0
+    assert "curve:    3 frames by spread" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.iterdir() if path.name.startswith(".")) == []
+
+
+@pytest.mark.parametrize("curve", ["", "4,1", "1,1", "0,1", "many", "1,,2"])
+def test_a_wrong_curve_is_one_line(arguments, curve, tmp_path, capsys) -> None:
+    assert run(*arguments, "--out", tmp_path / "int8", "--curve", curve) == 2
+    assert "--curve: found" in capsys.readouterr().err
+    assert not (tmp_path / "int8").exists()
