@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from quantize.prepare import Prepared
     from runtime.contracts.manifest import ModelDirectory
     from runtime.contracts.measurement import Measurement
+    from runtime.peak_memory import PeakMemory
 
 NOISE_FRAMES, TIMED_FRAMES, TIMED_REPEAT = 2, 4, 3
 PLOTTED_LAYERS = 6
@@ -64,6 +65,7 @@ def report(
     from quantize.static import build
     from runtime.bench import bench_models, profile_directory
     from runtime.contracts.errors import EdgeError
+    from runtime.peak_memory import peak_memory
     from runtime.profile import int8_share as share_of_run
     from runtime.sources.factory import open_sequence
 
@@ -80,6 +82,7 @@ def report(
     layers: list[Any] = []
     evidence = None
     latency: tuple[dict[str, Any], ...] = ()
+    memory: tuple[PeakMemory | None, ...] = ()
     share_run = None
     measurements: list[Measurement] = []
     name = "none"
@@ -101,6 +104,7 @@ def report(
             evidence = collect_evidence(written.path, source, runs, plots)
             timed = bench_models(paths, pairs, repeat=TIMED_REPEAT, allow_other_rig=allow_other_rig)
             latency = tuple({**asdict(item), "path": Path(item.path).name} for item in timed)
+            memory = tuple(peak_memory(path, pairs[0]) for path in paths)
             share_run = share_of_run(profile_directory(written.path, pairs[:1]))
     except EdgeError as error:
         if validation is not None:
@@ -115,6 +119,7 @@ def report(
         int8_share=int8_share(prepared, given_back),
         int8_share_run=share_run,
         latency=latency,
+        memory=memory,
         budget=tuple(
             BudgetRow(step.given_back, step.drop_points, step.measurement.latency_ms.get("inference"), step.holds)
             for step in (search.steps if search is not None else ())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,13 @@ from edge.report.records import report_record
 from edge.report.repeat import RepeatRecord, repeat_text
 from edge.report.rows import NO_VALUE, Table
 from runtime.contracts.measurement import Measurement
+from runtime.peak_memory import PeakMemory
 
 LAYERS_SHOWN = 15
+ABOUT_MEMORY = (
+    "Memory: the most that a process of its own held while it loaded and ran the model; in brackets what was added to "
+    "Python and its packages."
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +60,7 @@ class QuantisationRecord:
         budget: path of the search; empty without one.
         int8_share: of the multiply-adds in the graph.
         int8_share_run: of the multiply-adds that ONNX Runtime ran; None where nothing was timed.
+        memory: of a process that runs the float model, and one that runs the INT8 one; None where it was not told.
         parity: of what both models see; repeat: how to do it again; None where it was not looked at.
     """
 
@@ -67,6 +73,7 @@ class QuantisationRecord:
     int8_share_run: float | None = None
     latency: tuple[dict[str, Any], ...] = ()
     budget: tuple[BudgetRow, ...] = field(default=())
+    memory: tuple[PeakMemory | None, ...] = ()
     parity: ParityRecord | None = None
     repeat: RepeatRecord | None = None
 
@@ -124,17 +131,25 @@ def cost_table(record: QuantisationRecord) -> Table:
                 NO_VALUE if timed is None else f"{timed['stages']['inference']['median']:.1f}",
                 NO_VALUE if timed is None else f"{timed['stages']['total']['median']:.1f}",
                 NO_VALUE if timed is None else f"{timed['ratio']:.2f}",
-                NO_VALUE if timed is None or timed["memory_mib"] is None else f"{timed['memory_mib']:.0f}",
+                _peak(record, position),
                 f"{100 * record.int8_share:.1f} %" if position else "0.0 %",
             )
         )
-    columns = ("model", "MB", "inference ms", "total ms", "ratio", "memory MiB", "INT8 multiply-adds")
+    columns = ("model", "MB", "inference ms", "total ms", "ratio", "peak memory MiB", "INT8 multiply-adds")
     note = (
         ""
         if record.int8_share_run is None
         else (f"In ONNX Runtime's own profile {100 * record.int8_share_run:.1f} % of the multiply-adds ran in 8 bits.")
     )
+    if any(item is not None for item in record.memory):
+        note += f"{' ' if note else ''}{ABOUT_MEMORY}"
     return Table("Cost on this machine", columns, tuple(rows), note=note)
+
+
+def _peak(record: QuantisationRecord, position: int) -> str:
+    """Peak and, in brackets, what of it is the model's."""
+    found = record.memory[position] if position < len(record.memory) else None
+    return NO_VALUE if found is None else f"{found.peak_mib:.0f} ({found.peak_mib - found.before_mib:.0f})"
 
 
 def budget_table(record: QuantisationRecord) -> Table:
@@ -182,6 +197,7 @@ def _as_json(record: QuantisationRecord) -> dict[str, Any]:
         ],
         "kept_float": [{"node": node, "why": why} for node, why in record.kept_float],
         "latency": list(record.latency),
+        "memory": [None if item is None else asdict(item) for item in record.memory],
         "size_bytes": {"float32": record.size_bytes[0], "int8": record.size_bytes[1]},
         "int8_share_of_multiply_adds": {"graph": record.int8_share, "run": record.int8_share_run},
         "budget": [
