@@ -13,7 +13,7 @@ def simulate_command(
     frames: Annotated[int, typer.Option(help="Number of single frames.")] = 100,
     sequence: Annotated[bool, typer.Option("--sequence", help="One 10 Hz drive in KITTI's tracking layout.")] = False,
     seconds: Annotated[float, typer.Option(help="Length of the drive.")] = 10.0,
-    rig: Annotated[str, typer.Option(help="kitti, oak-d, or a JSON file {schema, image_size_wh, P2, P3}.")] = "kitti",
+    rig: Annotated[str, typer.Option(help="kitti, oak-d, or a geometry file (ours or depthai's JSON).")] = "kitti",
     seed: Annotated[int, typer.Option(help="Frame i is made from seed + i.")] = 0,
     format: Annotated[str, typer.Option(help="Image files: jpg, png or webp.")] = "jpg",
     quality: Annotated[int, typer.Option(help="Quality of jpg and webp.")] = 92,

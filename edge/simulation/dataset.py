@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.simulation.rig import rig_json
 from runtime.contracts.errors import FormatError, OutputError
 from runtime.contracts.geometry import StereoGeometry
 from runtime.contracts.kitti import format_calib
+from runtime.rig import format_geometry
 
 RECORD_NAME, RIG_NAME = "simulation.json", "rig.json"
 RECORD_SCHEMA = 1
@@ -118,7 +118,7 @@ class ObjectFolder:
         for name in ("image_2", "image_3", "calib", "label_2"):
             (self.root / "training" / name).mkdir(parents=True, exist_ok=True)
         (self.root / "ImageSets").mkdir(exist_ok=True)
-        _write_text(self.root / RIG_NAME, rig_json(geometry))
+        _write_text(self.root / RIG_NAME, format_geometry(geometry))
         for split in SPLIT_NAMES:
             _write_text(self.root / "ImageSets" / f"{split}.txt", "".join(f"{index:06d}\n" for index in range(frames)))
 
@@ -157,7 +157,7 @@ class TrackingFolder:
             (self.root / "training" / name / SEQUENCE).mkdir(parents=True, exist_ok=True)
         for name in ("calib", "label_02"):
             (self.root / "training" / name).mkdir(parents=True, exist_ok=True)
-        _write_text(self.root / RIG_NAME, rig_json(geometry))
+        _write_text(self.root / RIG_NAME, format_geometry(geometry))
         _write_text(self.root / "training" / "calib" / f"{SEQUENCE}.txt", format_calib(geometry))
 
     def write(self, index: int, views: tuple[NDArray[np.uint8], NDArray[np.uint8]]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +10,9 @@ from numpy.typing import NDArray
 from edge.simulation.scene import PinholeCamera
 from runtime.contracts.errors import FormatError
 from runtime.contracts.geometry import StereoGeometry
+from runtime.rig import load_geometry
 
 FloatArray = NDArray[np.float64]
-RIG_SCHEMA = 1
 _KITTI_FOCAL_PX, _KITTI_CENTRE_PX, _KITTI_SIZE_WH = 721.5377, (609.5593, 172.854), (1242, 375)
 _KITTI_P2_SHIFT, _KITTI_P3_SHIFT = 44.85728, -339.5242
 _OAK_FOCAL_PX, _OAK_SIZE_WH, _OAK_BASELINE_M = 800.0, (1280, 400), 0.075
@@ -43,7 +42,7 @@ def oak_d_rig() -> StereoGeometry:
 
 
 def load_rig(name: str) -> StereoGeometry:
-    """``kitti``, ``oak-d``, or the path of a JSON file {schema, image_size_wh, P2, P3}.
+    """``kitti``, ``oak-d``, or the path of a geometry file: our JSON, depthai's, or KITTI text that names a size.
 
     Raises:
         FormatError: no such rig or file, or the file does not hold what a rig needs.
@@ -54,20 +53,8 @@ def load_rig(name: str) -> StereoGeometry:
         return oak_d_rig()
     path = Path(name)
     if not path.is_file():
-        raise FormatError(f"rig {name!r} is no file, expected kitti, oak-d or a JSON file; check the spelling")
-    try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-        if record["schema"] != RIG_SCHEMA:
-            raise FormatError(f"{path} has schema {record['schema']}, expected {RIG_SCHEMA}; write the rig anew")
-        width, height = (int(value) for value in record["image_size_wh"])
-        geometry = StereoGeometry(
-            np.array(record["P2"], dtype=np.float64), np.array(record["P3"], dtype=np.float64), (width, height)
-        )
-    except (ValueError, TypeError, KeyError) as error:
-        raise FormatError(
-            f"{path} is no rig ({type(error).__name__}: {error}), expected JSON with schema, image_size_wh, P2, P3; "
-            "mend the file"
-        ) from None
+        raise FormatError(f"rig {name!r} is no file, expected kitti, oak-d or a geometry file; check the spelling")
+    geometry = load_geometry(path)
     for matrix, label in ((geometry.P2, "P2"), (geometry.P3, "P3")):
         if not np.allclose(matrix[2, :3], (0.0, 0.0, 1.0)) or abs(matrix[1, 0]) > 1e-9 or abs(matrix[0, 1]) > 1e-9:
             raise FormatError(f"{path}: {label} is not the projection of a rectified camera; rectify the pair first")
@@ -76,17 +63,6 @@ def load_rig(name: str) -> StereoGeometry:
             f"{path} has a baseline of {geometry.baseline_m:.4f} m, expected a positive one; swap P2 and P3"
         )
     return geometry
-
-
-def rig_json(geometry: StereoGeometry) -> str:
-    """The rig as JSON text."""
-    record = {
-        "schema": RIG_SCHEMA,
-        "image_size_wh": list(geometry.image_size_wh),
-        "P2": geometry.P2.tolist(),
-        "P3": geometry.P3.tolist(),
-    }
-    return json.dumps(record, indent=2) + "\n"
 
 
 def cameras(geometry: StereoGeometry, camera_from_world: FloatArray) -> tuple[PinholeCamera, PinholeCamera]:

@@ -19,11 +19,12 @@ from edge.simulation.drive import FRAMES_PER_SECOND, Drive, build_drive, moment_
 from edge.simulation.frames import frame_of_seed, take
 from edge.simulation.layout import AS_LABELLED, Mix
 from edge.simulation.render.renderer import Renderer
-from edge.simulation.rig import load_rig, rig_json
+from edge.simulation.rig import load_rig
 from edge.simulation.sensor import draw_sensor
 from runtime.contracts.errors import FormatError
 from runtime.contracts.geometry import StereoGeometry
 from runtime.contracts.kitti import format_labels
+from runtime.rig import format_geometry
 
 DEFAULT_QUALITY = 92
 LEAST_FACTOR, MOST_FACTOR = 0.1, 20.0  # of a mix
@@ -97,7 +98,9 @@ def simulate(
         raise FormatError("people or near were given for a drive, expected single frames; leave out --sequence")
     geometry = load_rig(rig)
     rig_name = (
-        rig if rig in ("kitti", "oak-d") else f"file {hashlib.sha256(rig_json(geometry).encode()).hexdigest()[:16]}"
+        rig
+        if rig in ("kitti", "oak-d")
+        else f"file {hashlib.sha256(format_geometry(geometry).encode()).hexdigest()[:16]}"
     )
     record = Record(
         "tracking" if sequence else "object",

@@ -11,11 +11,12 @@ import pytest
 
 from edge.simulation.layout import Mix
 from edge.simulation.render.renderer import Renderer
-from edge.simulation.rig import cameras, kitti_rig, load_rig, oak_d_rig, rig_json
+from edge.simulation.rig import cameras, kitti_rig, load_rig, oak_d_rig
 from edge.simulation.simulate import simulate
 from runtime.contracts.errors import FormatError, MissingExtraError, OutputError
 from runtime.contracts.geometry import StereoGeometry
 from runtime.contracts.kitti import parse_calib, parse_labels, parse_tracking_labels
+from runtime.rig import format_geometry
 
 SIZE_WH = (310, 94)  # a quarter of KITTI's picture: the same world, quickly drawn
 
@@ -23,7 +24,7 @@ SIZE_WH = (310, 94)  # a quarter of KITTI's picture: the same world, quickly dra
 @pytest.fixture(scope="module")
 def small_rig(tmp_path_factory: pytest.TempPathFactory) -> str:
     path = tmp_path_factory.mktemp("rig") / "small.json"
-    path.write_text(rig_json(kitti_rig().scale((0.25, 0.25), SIZE_WH)))
+    path.write_text(format_geometry(kitti_rig().scale((0.25, 0.25), SIZE_WH)))
     return str(path)
 
 
@@ -58,7 +59,7 @@ def test_cameras_project_like_the_rig(rig: StereoGeometry) -> None:
 
 def test_rig_files_come_back(tmp_path: Path) -> None:
     path = tmp_path / "rig.json"
-    path.write_text(rig_json(oak_d_rig()))
+    path.write_text(format_geometry(oak_d_rig()))
     assert np.array_equal(load_rig(str(path)).P3, oak_d_rig().P3)
 
 
@@ -70,7 +71,7 @@ def test_rig_files_come_back(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_broken_rig_files_are_refused(tmp_path: Path, change: dict[str, object], word: str) -> None:
-    record = json.loads(rig_json(oak_d_rig()))
+    record = json.loads(format_geometry(oak_d_rig()))
     path = tmp_path / "rig.json"
     path.write_text(json.dumps({**record, **change}))
     with pytest.raises(FormatError, match=word):
