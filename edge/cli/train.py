@@ -76,6 +76,17 @@ def train_command(
         float,
         typer.Option(min=0, max=1, help="Share of frames that get objects of other frames; stereo presets."),
     ] = 0.0,
+    zoom: Annotated[
+        float, typer.Option(min=0, max=1, help="Share of frames that are zoomed, depths with them; preset compact.")
+    ] = 0.0,
+    faults: Annotated[
+        float,
+        typer.Option(min=0, max=1, help="Share of pairs with camera faults: light, blur, noise, JPEG, rectification."),
+    ] = 0.0,
+    unlabelled: Annotated[
+        Optional[list[str]],  # noqa: UP045
+        typer.Option(help="Source URI of pairs that teach disparity alone; give it again for more."),
+    ] = None,
     quantize_aware: Annotated[
         bool, typer.Option("--quantize-aware", help="Learn to stand 8-bit rounding; for a run's last steps.")
     ] = False,
@@ -101,9 +112,9 @@ def train_command(
     from edge.detector.presets import preset as find_preset
     from edge.detector.weights import PRIORS_KEY, load_backbone, load_weights, priors_digest, save_weights
     from edge.training.distributed import process_group, ranks_of_environment, wait_for_all
+    from edge.training.frame_changes import frame_changes
     from edge.training.loop import train
     from edge.training.methods import with_method
-    from edge.training.paste import object_paster
     from edge.training.precision import wants_mixed_precision
     from edge.training.rig import rig_metadata, with_rig_of_data
     from edge.training.run_record import RunSettings, check_same_run, write_settings
@@ -129,6 +140,8 @@ def train_command(
     ranks.share_of(batch_size)
     sources = [open_sequence(uri) for uri in dataset]
     chosen = with_rig_of_data(chosen, sources)
+    without_labels = [open_sequence(uri) for uri in unlabelled or []]
+    changes = frame_changes(chosen, sources, method=method, paste=paste, zoom=zoom, faults=faults)
     measured = open_sequence(validation) if validation is not None else None
     first_step = 0
     if ranks.writes:  # before the others join: what is wrong is said once
@@ -145,8 +158,14 @@ def train_command(
             load_backbone(detector, backbone)
         if start is not None:
             load_weights(detector, start)
-        paster = object_paster(chosen, sources, share=paste, method=method)
-        frames = MixedFrames(sources, weights, maker=SampleMaker(chosen, tables), seed=seed, paster=paster)
+        frames = MixedFrames(
+            sources,
+            weights,
+            maker=SampleMaker(chosen, tables),
+            seed=seed,
+            changes=changes,
+            unlabelled=without_labels,
+        )
         length = run_steps(chosen, steps=steps, epochs=epochs, epoch_samples=frames.epoch_length, batch_size=batch_size)
         settings = RunSettings(
             steps=length,
@@ -164,6 +183,9 @@ def train_command(
             freeze_norms=freeze_norms,
             quantize_aware=quantize_aware,
             paste=paste,
+            zoom=zoom,
+            faults=faults,
+            unlabelled=tuple(unlabelled or ()),
             validate_every=validate_every or max(1, frames.epoch_length // batch_size),
         )
         if resume:

@@ -16,7 +16,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from edge.detector.presets import Preset
 from edge.training.free_ground import (
     Ground,
     footprint_of,
@@ -27,11 +26,9 @@ from edge.training.free_ground import (
     scene_disparity,
 )
 from edge.training.object_bank import ObjectBank, ObjectCut, ViewCut
-from runtime.contracts.errors import EdgeError
 from runtime.contracts.frame import StereoFrame
 from runtime.contracts.geometry import FloatArray, project_to_image
 from runtime.contracts.objects import Objects3D, box_corners, wrap_angle_rad
-from runtime.sources.base import FrameSequence
 
 CLASS_SHARES = {"Pedestrian": 0.45, "Cyclist": 0.3, "Car": 0.25}
 MAX_OBJECTS = 3
@@ -106,32 +103,6 @@ class ObjectPaster:
         for cut, place in chosen:
             frame, objects = paste_object(frame, objects, cut=cut, place=place)
         return frame, objects
-
-
-def object_paster(
-    preset: Preset, sources: Sequence[FrameSequence], *, share: float, method: str | None
-) -> ObjectPaster | None:
-    """What pastes objects of the training frames into them; None where the share is 0.
-
-    Raises:
-        EdgeError: the preset looks at one view, its disparities come from a lidar that does not see what is pasted,
-            the run repeats a published method, or no object can be cut out.
-    """
-    if share == 0:
-        return None
-    found = None
-    if preset.views == 1:
-        found = f"preset {preset.name} with one view"
-    elif preset.training.disparity_source == "points":
-        found = "disparity from points"
-    elif method is not None:
-        found = f"--method {method}"
-    if found is not None:
-        raise EdgeError(f"--paste {share:g} with {found}, expected matched pairs of the preset's own; leave it out")
-    bank = ObjectBank(sources, [name for name in CLASS_SHARES if name in preset.classes])
-    if not bank.classes:
-        raise EdgeError(f"--paste {share:g} finds no whole, near object in the datasets; add labelled frames")
-    return ObjectPaster(bank, share)
 
 
 def place_at(cut: ObjectCut, frame: StereoFrame, *, x_m: float, z_m: float, ground: Ground) -> Place:

@@ -38,7 +38,8 @@ class RunSettings:
         freeze_norms: all batch norms keep their statistics, not only the backbone's: for small batches.
         validate_every: steps between validations, 0 for none.
         quantize_aware: train under 8-bit rounding, see `edge.training.fake_quantisation`.
-        paste: share of frames that get objects of other frames.
+        paste, zoom, faults: shares of frames that are changed, see `edge.training.frame_changes`.
+        unlabelled: sources that teach disparity alone.
     """
 
     steps: int
@@ -59,6 +60,9 @@ class RunSettings:
     validate_every: int = 0
     quantize_aware: bool = False
     paste: float = 0.0
+    zoom: float = 0.0
+    faults: float = 0.0
+    unlabelled: tuple[str, ...] = ()
 
 
 def write_settings(run_dir: Path, preset: Preset, settings: RunSettings, datasets: dict[str, int]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from edge.detector.presets import Preset
 from edge.training.assign import AnchorTargets, assign
 from edge.training.augment import change_colours, draw_colour_change
+from edge.training.camera_faults import ViewFaults, with_faults
 from edge.training.disparity_targets import (
     CELL_PX,
     block_matching_disparity,
@@ -28,6 +30,7 @@ from runtime.contracts.objects import Objects3D
 from runtime.preprocess import NetworkView, network_view, normalise, to_network_image, to_planes
 
 MIRROR_PROBABILITY = 0.5
+KEPT_CAMERAS = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +79,7 @@ class SampleMaker:
         draws: np.random.RandomState,
         *,
         points_in_camera: FloatArray | None = None,
+        faults: Sequence[ViewFaults] | None = None,
     ) -> Sample:
         """Crop and resize, mirror, change colours, assign.
 
@@ -84,18 +88,23 @@ class SampleMaker:
             objects: its labels.
             draws: the sample's own generator.
             points_in_camera: (N, 3) metres, where `wants_points`.
+            faults: of the two cameras, for what the network sees; not for what supervises disparity.
 
         Raises:
             FrameError: the preset is stereo and the frame has one view, or it wants points and there are none.
         """
         seen = self._views(frame)
-        view = network_view(frame.geometry, self._manifest)
         colours_first = self._augment and self._preset.training.photometric_first
+        if faults is not None and colours_first:
+            seen = with_faults(seen, faults[: len(seen)])
+        view = network_view(frame.geometry, self._manifest)
         change = draw_colour_change(draws) if self._augment else None
         images: list[NDArray[np.generic]] = [to_network_image(image, view) for image in seen]
         if colours_first and change is not None:
             full = [change_colours(_rgb_float(image), change)[..., ::-1] for image in seen]
             images = [to_network_image(image, view, as_float=True) for image in full]  # type: ignore[arg-type]
+        if faults is not None and not colours_first:
+            images = with_faults(images, faults[: len(images)])  # type: ignore[arg-type]
         geometry = view.geometry
         dont_care = view.to_network(objects.dont_care_boxes)
         mirrored = self._augment and draws.rand() < MIRROR_PROBABILITY
@@ -178,6 +187,8 @@ class SampleMaker:
         """Usable anchors (N,) and, where the filter asks the class, those of each class (classes, N)."""
         key = P2.tobytes()
         if key not in self._usable:
+            if len(self._usable) >= KEPT_CAMERAS:  # zoomed frames have a camera each
+                self._usable.clear()
             layout = self._preset.anchors
             usable = usable_anchors(self._grid, layout, priors=self._priors, P2=P2)
             by_class = usable_by_class(self._grid, layout, priors=self._priors, P2=P2)

@@ -7,22 +7,22 @@ drawn from (seed, e), the sample's generator from (seed, n). Resuming is startin
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 import torch
 from torch.utils.data import DataLoader, Dataset, Sampler
 
+from edge.training.assign import IGNORED
 from edge.training.distributed import ALONE, Ranks
+from edge.training.frame_changes import FrameChanges
 from edge.training.losses import ImageTargets
-from edge.training.paste import ObjectPaster
 from edge.training.point_clouds import points_in_camera
 from edge.training.samples import Sample, SampleMaker
 from runtime.contracts.errors import SourceError
+from runtime.contracts.objects import Objects3D
 from runtime.sources.base import FrameSequence
-
-PASTE_STREAM = 1  # of the random numbers of a position
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +62,8 @@ class MixedFrames(Dataset[Sample]):
         weights: how often an epoch shows each source's frames.
         maker: frame to sample.
         seed: of order and augmentation.
-        paster: adds objects of other frames; None leaves frames as they are.
+        changes: what is done to frames before they become samples.
+        unlabelled: sequences that teach disparity alone, whether or not they have labels.
     """
 
     def __init__(
@@ -72,10 +73,12 @@ class MixedFrames(Dataset[Sample]):
         *,
         maker: SampleMaker,
         seed: int,
-        paster: ObjectPaster | None = None,
+        changes: FrameChanges | None = None,
+        unlabelled: Sequence[FrameSequence] = (),
     ) -> None:
-        self._sources = list(sources)
-        self._paster = paster
+        self._sources = [*sources, *unlabelled]
+        self._labelled_count = len(sources)
+        self._changes = changes or FrameChanges()
         self._maker = maker
         self._seed = seed
         rows = [
@@ -87,6 +90,7 @@ class MixedFrames(Dataset[Sample]):
         ]
         if not rows:
             raise SourceError("the datasets hold no labelled frame, expected at least one; give a source with labels")
+        rows += [(len(sources) + index, row) for index, source in enumerate(unlabelled) for row in range(len(source))]
         self._rows = np.array(rows)
         self._epoch: tuple[int, np.ndarray] = (-1, np.zeros(0, int))
 
@@ -103,15 +107,23 @@ class MixedFrames(Dataset[Sample]):
             self._epoch = (epoch, order)
         source_index, row = self._rows[self._epoch[1][offset]]
         source = self._sources[source_index]
-        objects = source.labels(int(row))
+        labelled = source_index < self._labelled_count
+        objects = source.labels(int(row)) if labelled else Objects3D.empty(("Car",))
         assert objects is not None
         draws = np.random.RandomState(np.random.default_rng([self._seed, position]).integers(2**31))
         points = points_in_camera(source, int(row)) if self._maker.wants_points else None
         frame = source[int(row)]
-        if self._paster is not None:  # a generator of its own: the others' draws stay as they are without it
-            rng = np.random.default_rng([self._seed, position, PASTE_STREAM])
-            frame, objects = self._paster.paste(frame, objects, rng)
-        return self._maker.make(frame, objects, draws, points_in_camera=points)
+        place = {"seed": self._seed, "position": position}
+        frame, objects = self._changes.of_scene(frame, objects, labelled=labelled, **place)
+        faults = self._changes.of_cameras(views=1 if frame.right is None else 2, **place)
+        sample = self._maker.make(frame, objects, draws, points_in_camera=points, faults=faults)
+        return sample if labelled else _without_classes(sample)
+
+
+def _without_classes(sample: Sample) -> Sample:
+    """A sample whose anchors teach nothing: what stands in the picture is not known."""
+    ignored = np.full_like(sample.targets.label, IGNORED)
+    return replace(sample, targets=replace(sample.targets, label=ignored))
 
 
 class Positions(Sampler[int]):

@@ -13,9 +13,10 @@ pytest.importorskip("torch", reason="the torch workbench is not installed")
 
 from edge.detector.presets import preset
 from edge.training import free_ground
+from edge.training.frame_changes import FrameChanges, frame_changes
 from edge.training.object_bank import ObjectBank, cut_out, plain_objects
 from edge.training.object_masks import depth_along_rays
-from edge.training.paste import ObjectPaster, object_paster, paste_object, place_at
+from edge.training.paste import ObjectPaster, paste_object, place_at
 from edge.training.samples import SampleMaker
 from edge.training.stream import MixedFrames
 from runtime.contracts.errors import EdgeError
@@ -118,19 +119,21 @@ def test_no_object_nothing_to_cut() -> None:
     assert bank.classes == ()
     assert bank.draw("Pedestrian", np.random.default_rng(0)) is None
     with pytest.raises(EdgeError, match="finds no whole, near object"):
-        object_paster(preset("compact"), [Scenes(labels())], share=0.3, method=None)  # type: ignore[list-item]
+        frame_changes(preset("compact"), [Scenes(labels())], paste=0.3, method=None)  # type: ignore[list-item]
 
 
-def test_options_that_do_not_go_together() -> None:
-    assert object_paster(preset("mono"), [], share=0.0, method="paper") is None
-    with pytest.raises(EdgeError, match="preset mono with one view"):
-        object_paster(preset("mono"), [], share=0.3, method=None)
+@pytest.mark.parametrize("name", ["paste", "zoom"])
+def test_options_that_do_not_go_together(name: str) -> None:
+    share = {name: 0.3}
+    assert frame_changes(preset("mono"), [], method="paper") == FrameChanges()
+    with pytest.raises(EdgeError, match="preset mono of one view"):
+        frame_changes(preset("mono"), [], method=None, **share)  # type: ignore[arg-type]
     with pytest.raises(EdgeError, match="--method official"):
-        object_paster(preset("paper"), [], share=0.3, method="official")
+        frame_changes(preset("paper"), [], method="official", **share)  # type: ignore[arg-type]
     compact = preset("compact")
     points = replace(compact, training=replace(compact.training, disparity_source="points"))
     with pytest.raises(EdgeError, match="disparity from points"):
-        object_paster(points, [], share=0.3, method=None)
+        frame_changes(points, [], method=None, **share)  # type: ignore[arg-type]
 
 
 def test_objects_that_labels_call_hidden_are_not_cut() -> None:
@@ -246,7 +249,7 @@ def test_a_position_is_the_same_sample_whatever_came_before(toy: ModuleType) -> 
         bank = ObjectBank([scenes], ("Pedestrian",))  # type: ignore[list-item]
         paster = ObjectPaster(bank, share) if share else None
         maker = SampleMaker(chosen, toy.plain_priors(chosen))
-        return MixedFrames([scenes], [1], maker=maker, seed=4, paster=paster)  # type: ignore[list-item]
+        return MixedFrames([scenes], [1], maker=maker, seed=4, changes=FrameChanges(paster))  # type: ignore[list-item]
 
     plain, none, all_ = stream(0.0), stream(1e-12), stream(1.0)
     counts = []
