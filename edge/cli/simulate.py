@@ -37,7 +37,7 @@ def simulate_command(
         TimeRemainingColumn,
     )
 
-    from edge.simulation.layout import Mix
+    from edge.simulation.drafts import Mix
     from edge.simulation.simulate import simulate
 
     console = Console(stderr=True)

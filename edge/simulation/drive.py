@@ -14,11 +14,11 @@ from edge.simulation.bodies.library import Body
 from edge.simulation.daylight import draw_light
 from edge.simulation.frames import Moment, assemble, camera_pose
 from edge.simulation.label_statistics import train_statistics
-from edge.simulation.layout import draw_street
 from edge.simulation.placing import PlacedObject, choose_body, draw_size, draw_tint
 from edge.simulation.planting.planter import Surroundings
 from edge.simulation.road import Road, Street, curve
 from edge.simulation.scene import Light
+from edge.simulation.streets import draw_street
 from edge.simulation.surroundings import build_surroundings
 from runtime.contracts.objects import wrap_angle_rad
 

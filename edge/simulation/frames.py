@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.simulation.daylight import draw_light
+from edge.simulation.drafts import AS_LABELLED, Mix
 from edge.simulation.labels import label_objects
-from edge.simulation.layout import AS_LABELLED, Layout, Mix, lay_out
+from edge.simulation.layout import Layout, lay_out
 from edge.simulation.placing import PlacedObject
 from edge.simulation.planting.planter import Surroundings
 from edge.simulation.render.renderer import Renderer

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from edge.simulation.dataset import IMAGE_FORMATS, ObjectFolder, Record, TrackingFolder, claim_folder
+from edge.simulation.drafts import AS_LABELLED, Mix
 from edge.simulation.drive import FRAMES_PER_SECOND, Drive, build_drive, moment_at
 from edge.simulation.frames import frame_of_seed, take
-from edge.simulation.layout import AS_LABELLED, Mix
 from edge.simulation.render.renderer import Renderer
 from edge.simulation.rig import load_rig
 from edge.simulation.sensor import draw_sensor

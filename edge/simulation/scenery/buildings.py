@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 
 from edge.simulation.scene import Material, Mesh
+from edge.simulation.scenery.house_fronts import front_details
 from edge.simulation.solids import Rgb, box, join, quads_mesh
 
 _LIBRARY_SEED = 31_415
@@ -131,6 +132,7 @@ def block(index: int) -> tuple[Mesh, float, float]:
             colour=(0.08, 0.05, 0.03),
         )
     )
+    parts += front_details(width, front, height, np.random.default_rng([_LIBRARY_SEED, 11, index]))
     return join(parts), width, depth
 
 

@@ -12,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from edge.simulation.scene import Material, Mesh
+from edge.simulation.scenery.plants import lumpy
 from edge.simulation.solids import Rgb, box, disc, ellipsoid, join, rounded_loft, tube
 
 _LIBRARY_SEED = 14_142
@@ -59,7 +60,8 @@ def _street_tree(rng: np.random.Generator) -> Mesh:
         size = float(rng.uniform(0.7, 1.3))
         crown = (size, 0.8 * size, size)
         green = _pick(rng, _GREENS)
-        parts.append(ellipsoid(tip, crown, material=Material.FOLIAGE, colour=green, sides=8, rings=5))
+        leaves = ellipsoid(tip, crown, material=Material.FOLIAGE, colour=green, sides=10, rings=6)
+        parts.append(lumpy(leaves, rng, 0.16 * size))
     if rng.random() < 0.4:  # held by stakes
         for x, z in ((0.45, 0.1), (-0.45, 0.1)):
             stake = [(x, 0.1, z), (x, -1.7, z)]

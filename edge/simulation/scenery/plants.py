@@ -23,7 +23,7 @@ _GREENS: tuple[Rgb, ...] = (
 _BARKS: tuple[Rgb, ...] = ((0.11, 0.085, 0.065), (0.16, 0.14, 0.12), (0.07, 0.055, 0.045))
 
 
-def _lumpy(mesh: Mesh, rng: np.random.Generator, amount: float) -> Mesh:
+def lumpy(mesh: Mesh, rng: np.random.Generator, amount: float) -> Mesh:
     """Points moved along smooth random waves, so that blobs lose their roundness."""
     waves = rng.normal(0.0, 2.0, (3, 3))
     phases = rng.uniform(0.0, 6.3, 3)
@@ -82,7 +82,7 @@ def tree(index: int, coarse: bool = False) -> Mesh:
         size = spread * rng.uniform(0.24, 0.42) * (1.7 if coarse else 1.0)
         radii = (size, size * rng.uniform(0.55, 0.95), size)
         blob = ellipsoid(centre, radii, material=Material.FOLIAGE, colour=_shade(green, rng), sides=sides, rings=rings)
-        parts.append(_lumpy(blob, rng, 0.14 * size))
+        parts.append(lumpy(blob, rng, 0.14 * size))
         if not coarse and number % 5 == 0:
             path = [(lean[0], -stem + 0.3, lean[1]), centre]
             parts.append(tube(path, [0.5 * thick, 0.2 * thick], material=Material.BARK, colour=bark, sides=5))
@@ -142,7 +142,7 @@ def bush(index: int) -> Mesh:
             sides=9,
             rings=5,
         )
-        parts.append(_lumpy(blob, rng, 0.07 * height))
+        parts.append(lumpy(blob, rng, 0.07 * height))
     return join(parts)
 
 
@@ -180,5 +180,5 @@ def tree_line(index: int) -> Mesh:
             centre = place + np.array([rng.normal(0.0, 1.1), -level * height, rng.normal(0.0, 0.6)])
             radii = (size * rng.uniform(0.8, 1.2), 0.2 * height * rng.uniform(0.8, 1.2), size)
             blob = ellipsoid(centre, radii, material=Material.FOLIAGE, colour=_shade(tone, rng), sides=7, rings=4)
-            parts.append(_lumpy(blob, rng, 0.22))
+            parts.append(lumpy(blob, rng, 0.22))
     return join(parts)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from shapely.geometry import Polygon
 
+from edge.simulation.drafts import AS_LABELLED, Mix, draw_counts
 from edge.simulation.label_statistics import CLASSES, crowd_of, train_statistics
-from edge.simulation.layout import AS_LABELLED, Layout, Mix, draw_counts, lay_out
+from edge.simulation.layout import Layout, lay_out
 from edge.simulation.placing import Footprint
 from edge.simulation.rig import kitti_rig
 from edge.simulation.road import curve

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from edge.simulation.layout import Mix
+from edge.simulation.drafts import Mix
 from edge.simulation.render.renderer import Renderer
 from edge.simulation.rig import cameras, kitti_rig, load_rig, oak_d_rig
 from edge.simulation.simulate import simulate
