@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 from typing import Protocol
 
 from runtime.contracts.frame import StereoFrame
-from runtime.contracts.manifest import MODEL_FILE, ModelDirectory
+from runtime.contracts.manifest import ModelDirectory, format_manifest
 from runtime.contracts.objects import Detections3D
 from runtime.detector import Detector, open_detector
 
@@ -26,8 +27,8 @@ class ModelFinder:
     """The float model as a `Finder`; loaded when the first frame comes, since remembered frames need it not."""
 
     def __init__(self, directory: ModelDirectory, *, allow_other_rig: bool = False) -> None:
-        """Names the model."""
-        self.identity = directory.manifest.sha256[MODEL_FILE]
+        """Names the model: by its manifest, which holds its hashes and thresholds."""
+        self.identity = hashlib.sha256(format_manifest(directory.manifest).encode()).hexdigest()
         self._directory = directory
         self._allow_other_rig = allow_other_rig
         self._detector: Detector | None = None
