@@ -224,6 +224,30 @@ def test_first_convolutions_are_traced_to_their_views() -> None:
     assert first_convolutions(joined) == []
 
 
+def with_quantised_pixels(step: float) -> onnx.ModelProto:
+    """Normalised, then rounded to 8 bits before the first convolution, as for runtimes that do not fold pixels."""
+    model = graph()
+    del model.graph.node[-1]
+    scale = numpy_helper.from_array(np.array(step, np.float32), "step")
+    zero = numpy_helper.from_array(np.array(0, np.int8), "zero")
+    model.graph.initializer.extend([scale, zero])
+    model.graph.node.append(helper.make_node("QuantizeLinear", ["both", "step", "zero"], ["both_q"]))
+    model.graph.node.append(helper.make_node("DequantizeLinear", ["both_q", "step", "zero"], ["both_dq"]))
+    model.graph.node.append(helper.make_node("Conv", ["both_dq", "weight"], ["out"], name="stem"))
+    return model
+
+
+@pytest.mark.parametrize(("step", "passed"), [(2.7 / 127, True), (0.5 / 127, False)])
+def test_rounded_pixels_pass_where_their_range_holds_them(step: float, passed: bool) -> None:
+    model = with_quantised_pixels(step)
+    (found,) = first_convolutions(model)
+    assert (found.quantised, found.zero_point) == (True, None)
+    record = check_parity({"float32": graph(), "INT8": model}, [frame()], manifest())
+    checks = [check for check in record.checks if check.model == "INT8"]
+    assert [check.passed for check in checks] == [passed, passed]
+    assert all(check.limit == "mean 2" for check in checks)
+
+
 def test_an_unknown_cause_is_not_guessed() -> None:
     random = np.random.default_rng(3)
     wanted, seen = (random.uniform(0, 255, (3, 40, 64)) for _ in range(2))
