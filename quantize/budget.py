@@ -1,5 +1,8 @@
 """Keeps an accuracy budget: gives the worst layers back to float until the drop is small enough.
 
+What costs nothing at run time comes first: other ways to write the same placement (searched ranges, corrected biases)
+are measured before any layer is given back, and the best of them is what the search goes on with.
+
 The search knows nothing of accuracy. It is handed a function that builds a model with given layers in
 float, one that measures a model, and one that turns two measurements into points lost. It doubles the
 number of layers given back, worst first, until the budget holds, then halves the last step to find how few
@@ -10,7 +13,7 @@ shortest measured inference wins.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +21,7 @@ from quantize.errors import QuantizeError
 from runtime.contracts.measurement import Measurement
 
 LEVEL_MODERATE = 1
+Build = Callable[[Sequence[str]], Path]
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +30,7 @@ class BudgetStep:
 
     Attributes:
         given_back: layers in float.
+        way: how the rest was written, of the ways that cost nothing; empty where there was one alone.
         drop_points: what it lost against the float model.
         measurement: all that was measured.
         holds: whether the budget holds.
@@ -35,6 +40,7 @@ class BudgetStep:
     drop_points: float
     measurement: Measurement
     holds: bool
+    way: str = ""
 
     @property
     def inference_ms(self) -> float | None:
@@ -72,7 +78,7 @@ class BudgetResult:
 
 
 def search_budget(
-    build: Callable[[Sequence[str]], Path],
+    build: Build | Mapping[str, Build],
     measure: Callable[[Path], Measurement],
     *,
     drop_points: Callable[[Measurement], float],
@@ -84,7 +90,7 @@ def search_budget(
     """Finds how few layers must stay float.
 
     Args:
-        build: Layers in float -> a model directory.
+        build: Layers in float -> a model directory; or several such ways by name, the most promising first.
         measure: Model directory -> measurement.
         drop_points: Measurement -> points lost against the float model; below zero where it won.
         ranking: Gives layer names, worst first; asked only when INT8 throughout is over budget.
@@ -100,21 +106,25 @@ def search_budget(
             f"--max-drop or --max-disagreement: found {max_drop}; expected points of 0 or more; 0.5 is strict"
         )
     steps: list[BudgetStep] = []
+    ways = build if isinstance(build, Mapping) else {"": build}
+    way = next(iter(ways))
 
     def attempt(given_back: Sequence[str]) -> BudgetStep:
-        measurement = measure(build(given_back))
+        measurement = measure(ways[way](given_back))
         lost = drop_points(measurement)
-        step = BudgetStep(tuple(given_back), lost, measurement, lost <= max_drop)
+        step = BudgetStep(tuple(given_back), lost, measurement, lost <= max_drop, way)
         steps.append(step)
         verdict = "holds" if step.holds else "over"
         tell(
-            f"{len(given_back)} layers in float: {lost:+.2f} points lost, budget {max_drop:g} {verdict}"
-            f"{_cost(step, steps[0])}"
+            f"{way and way + ', '}{len(given_back)} layers in float: {lost:+.2f} points lost, "
+            f"budget {max_drop:g} {verdict}{_cost(step, steps[0])}"
         )
         return step
 
-    if attempt(()).holds:
-        return BudgetResult(tuple(steps), steps[0])
+    for way in ways:  # noqa: B007 - `attempt` reads it
+        if attempt(()).holds:
+            return BudgetResult(tuple(steps), steps[-1])
+    way = min(steps, key=lambda step: step.drop_points).way
     order = list(ranking())
     over, count = 0, 1
     while order:
@@ -138,7 +148,10 @@ def search_budget(
         fewer = [item for item in kept if item != layer]
         if attempt(fewer).holds:
             kept = fewer
-    return BudgetResult(tuple(steps), _fastest([step for step in steps if step.holds]) if order else steps[0])
+    return BudgetResult(
+        tuple(steps),
+        _fastest([step for step in steps if step.holds]) if order else min(steps, key=lambda step: step.drop_points),
+    )
 
 
 def _fastest(steps: Sequence[BudgetStep]) -> BudgetStep:

@@ -117,7 +117,7 @@ def calibrate(
     """
     manifest, placement = prepared.source.manifest, prepared.placement
     chosen = choice.chosen
-    key = _key(
+    key = run_key(
         prepared,
         prepared.model,
         chosen,
@@ -170,7 +170,7 @@ def equalised(
         return prepared
     manifest = prepared.source.manifest
     chosen = choice.chosen.first(CORRECTION_FRAMES)
-    key = _key(prepared, prepared.model, chosen, tensors=(), channel_tensors=names)
+    key = run_key(prepared, prepared.model, chosen, tensors=(), channel_tensors=names)
     seen = load(key) if use_cache else None
     if seen is None:
         seen = observe(
@@ -212,7 +212,7 @@ def corrections(
         return {}
     graph = build(prepared, calibration.observation, ranges)
     few = calibration.frames.first(CORRECTION_FRAMES)
-    key = _key(prepared, graph.model, few, tensors=("bias shifts", str(CORRECTION_FRAMES)))
+    key = run_key(prepared, graph.model, few, tensors=("bias shifts", str(CORRECTION_FRAMES)))
     seen = load(key) if use_cache else None
     if seen is not None:
         return {name: shift.astype(np.float64) for name, (shift, _) in seen.channels.items()}
@@ -226,7 +226,7 @@ def corrections(
     return {name: shift.astype(np.float64) for name, shift in rounded.items()}
 
 
-def _key(
+def run_key(
     prepared: Prepared,
     model: onnx.ModelProto,
     frames: CalibrationSet,

@@ -19,6 +19,7 @@ from edge.cli.source_names import public_name
 from edge.cli.stages import say, stage_progress, warn
 
 if TYPE_CHECKING:
+    from quantize.bias_correction import Shifts
     from runtime.contracts.manifest import ModelDirectory
 
 DEFAULT_FRAMES = 100
@@ -33,8 +34,9 @@ class ChoiceMethod(StrEnum):
 
 
 class Method(StrEnum):
-    """How ranges follow from the values that were seen."""
+    """How ranges follow from the values that were seen; ``search`` looks at what they do to the outputs."""
 
+    SEARCH = "search"
     MINMAX = "minmax"
     PERCENTILE = "percentile"
     MSE = "mse"
@@ -56,7 +58,7 @@ def quantize_command(
         str | None,
         typer.Option(help="x86-vnni, x86-avx2, arm64, generic, openvino or tensorrt; default: this machine."),
     ] = None,
-    method: Annotated[Method, typer.Option(help="Range method.")] = Method.MSE,
+    method: Annotated[Method, typer.Option(help="Range method.")] = Method.SEARCH,
     validation: Annotated[
         str | None, typer.Option(help="Frames to measure on; default: the bundled measuring drive.")
     ] = None,
@@ -80,11 +82,13 @@ def quantize_command(
 ) -> None:
     """Quantise a model; exit 1 where the accuracy budget cannot be kept."""
     import time
+    from functools import partial
 
     from edge.report.terminal import report_console, show_table
     from edge.samples import calibration_source
     from quantize.calibration import calibrate, choose_frames, corrections, equalised
-    from quantize.prepare import prepare_model
+    from quantize.prepare import prepare_model, with_bias_correction
+    from quantize.range_search import settled_ranges
     from quantize.recipe import detect_target, recipe_for_target
     from quantize.static import build
     from quantize.write import write_directory
@@ -132,29 +136,45 @@ def quantize_command(
                 f"(as many evenly spread frames: {coverage.even_score:.2f})"
             )
 
-        ranges = found.observation.ranges(method.value)
-        shifts = corrections(
+        settled = settled_ranges(
             prepared,
             found,
-            ranges,
             chosen,
+            method.value,
             use_cache=use_cache,
             allow_other_rig=allow_other_rig,
             progress=progress,
         )
+        ranges = settled.ranges
+        correcting = [prepared.recipe.bias_correction]
+        if budget is not None:  # what costs nothing at run time is tried before any layer goes back to float
+            correcting.append(not prepared.recipe.bias_correction)
+        shifts_by_way = {
+            f"{settled.name} ranges{', biases corrected' * corrects}": corrections(
+                with_bias_correction(prepared, corrects),
+                found,
+                ranges,
+                chosen,
+                use_cache=use_cache,
+                allow_other_rig=allow_other_rig,
+                progress=progress,
+            )
+            for corrects in correcting
+        }
         looked_at = list(chosen.frames(PARITY_FRAMES))
 
-    def write(place: Path, given_back: Sequence[str]) -> ModelDirectory:
+    def write(shifts: Shifts, place: Path, given_back: Sequence[str]) -> ModelDirectory:
         graph = build(prepared, found.observation, ranges, given_back=given_back, shifts=shifts)
-        return write_directory(prepared, graph, found, place, method=method.value, given_back=given_back)
+        return write_directory(prepared, graph, found, place, method=settled.name, given_back=given_back)
 
     search = None
     given_back: tuple[str, ...] = ()
+    way = next(iter(shifts_by_way))
     if budget is not None and validation is not None:
         search = search_in_budget(
             prepared,
             found,
-            write,
+            {name: partial(write, some) for name, some in shifts_by_way.items()},
             out=out,
             validation=validation,
             max_drop=budget,
@@ -162,8 +182,9 @@ def quantize_command(
             ranges=ranges,
             allow_other_rig=allow_other_rig,
         )
-        given_back = search.best.given_back
-    written = write(out, given_back)
+        given_back, way = search.best.given_back, search.best.way
+    shifts = shifts_by_way[way]
+    written = write(shifts, out, given_back)
     parity = look_at_pixels(prepared, written, looked_at)
     tables = report(
         prepared,
@@ -172,7 +193,7 @@ def quantize_command(
         given_back=given_back,
         ranges=ranges,
         shifts=shifts,
-        method=method.value,
+        method=way,
         validation=validation,
         search=search,
         budget=budget,
@@ -188,7 +209,7 @@ def quantize_command(
             calibration=uri,
             choice=choice.value,
             validation=validation,
-            method=method.value,
+            method=settled.method,
             use_cache=use_cache,
             allow_other_rig=allow_other_rig,
         )

@@ -23,7 +23,7 @@ REFINEMENTS = 4
 def search_in_budget(
     prepared: Prepared,
     found: Calibration,
-    write: Callable[[Path, Sequence[str]], ModelDirectory],
+    writes: Mapping[str, Callable[[Path, Sequence[str]], ModelDirectory]],
     *,
     out: Path,
     validation: str,
@@ -32,8 +32,9 @@ def search_in_budget(
     ranges: Mapping[str, Range],
     allow_other_rig: bool,
 ) -> BudgetResult:
-    """Runs the budget search in a folder beside the result."""
+    """Runs the budget search in a folder beside the result; ``writes`` are the ways that cost no time, by name."""
     import tempfile
+    from functools import partial
 
     from calib.frames import frame_feeds, spread_frames
     from edge.evaluation.measure import assess, measure, measurement
@@ -54,7 +55,7 @@ def search_in_budget(
             stage_progress() as progress,
         ):
 
-            def build(given_back: Sequence[str]) -> Path:
+            def build(write: Callable[[Path, Sequence[str]], ModelDirectory], given_back: Sequence[str]) -> Path:
                 place = Path(made) / f"{len(given_back)}-in-float-{len(list(Path(made).iterdir()))}"
                 write(place, given_back)
                 return place
@@ -69,7 +70,7 @@ def search_in_budget(
                 return [item.node for item in order]
 
             return search_budget(
-                build,
+                {way: partial(build, write) for way, write in writes.items()},
                 lambda place: measure(place, source, reference, allow_other_rig=allow_other_rig),
                 drop_points=(lambda after: ap_drop_points(before, after)) if labelled else disagreement_points,
                 ranking=rank,

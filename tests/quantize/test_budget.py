@@ -158,3 +158,42 @@ def test_disagreement_is_what_was_not_matched(share: float, points: float) -> No
 def test_disagreement_of_what_was_not_compared_is_refused() -> None:
     with pytest.raises(QuantizeError, match="no comparison"):
         disagreement_points(record(1.0))
+
+
+def test_what_costs_nothing_is_tried_before_a_layer_is_given_back() -> None:
+    """The second way loses half as much: it holds the budget with all layers in INT8."""
+    world = World()
+    built: list[tuple[str, tuple[str, ...]]] = []
+
+    def way(name: str):
+        def build(given_back) -> Path:
+            built.append((name, tuple(given_back)))
+            return Path(f"{name},{','.join(given_back)}")
+
+        return build
+
+    def measure(path: Path) -> Measurement:
+        name, *floats = str(path).split(",")
+        lost = sum(cost for layer, cost in COSTS.items() if layer not in floats)
+        return record(80.0 - lost / {"plain": 1, "better": 2}[name])
+
+    def search(max_drop: float):
+        return search_budget(
+            {"plain": way("plain"), "better": way("better")},
+            measure,
+            drop_points=lambda after: ap_drop_points(REFERENCE, after),
+            ranking=world.rank,
+            max_drop=max_drop,
+        )
+
+    wide = search(8.0)
+    assert wide.best.way == "plain"
+    assert built == [("plain", ())]
+    built.clear()
+    middle = search(4.0)
+    assert (middle.best.way, middle.best.given_back) == ("better", ())
+    assert not world.asked_for_ranking
+    built.clear()
+    narrow = search(2.0)  # 7.75 / 2 is over, (7.75 - 4) / 2 is not
+    assert (narrow.best.way, narrow.best.given_back) == ("better", ("a",))
+    assert [name for name, given_back in built if given_back] == ["better"]

@@ -49,7 +49,8 @@ def drives(tiny_drive: Path) -> tuple[Path, Path]:
 
 @pytest.fixture
 def arguments(toy_directory: Path, drives: tuple[Path, Path]) -> list[object]:
-    return ["quantize", toy_directory, "--calibration", f"kitti-object:{drives[0]}", "--target", "x86-vnni"]
+    source = f"kitti-object:{drives[0]}"
+    return ["quantize", toy_directory, "--calibration", source, "--target", "x86-vnni", "--method", "mse"]
 
 
 def label_with_own_detections(model: Path, drive: Path) -> int:
@@ -76,8 +77,9 @@ def label_with_own_detections(model: Path, drive: Path) -> int:
 def test_a_model_and_its_report_come_out(arguments, drives, tmp_path, capsys) -> None:
     out = tmp_path / "int8"
     validation = ["--validation", f"kitti-object:{drives[1]}"]
-    assert run(*arguments, "--frames", 3, "--out", out, *validation) == 0
+    assert run(*arguments, "--frames", 3, "--out", out, *validation, "--method", "search") == 0
     assert open_model_directory(out).manifest.recipe == "static_wi8_au8_x86_vnni"
+    assert open_model_directory(out).manifest.provenance["int8_range_method"].startswith("search from ")
     names = {path.name for path in out.iterdir()}
     written = {"model.onnx", "manifest.json", "priors.npz", "card.md", "report.md", "report.json", "ranges.png"}
     written |= {"calibration.json"}
