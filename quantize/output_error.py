@@ -3,7 +3,10 @@
 Error of an inner tensor says little: a clipped peak of a stem and a rounded pixel may have the same mean square and not
 the same effect. So the error is taken where the network ends, squared, each column in units of its own variance, and
 averaged over anchors with the float model's own class probability as weight: a background anchor's box is never read.
-Depth counts `DEPTH_WEIGHT` times, since a box a metre off in depth misses its object in 3D and nothing else does that.
+Depth and class logits count `DECISIVE_WEIGHT` times: a box a metre off in depth misses its object in 3D, and scores
+decide which of neighbouring anchors survives suppression. (Bundled model, 100 development frames: with the INT8 scores
+and float boxes the mean centre shift was 11 cm, with float scores and the INT8 boxes 9 cm, with both INT8 19 cm; what
+Pedestrian lost in AP, it lost by the scores.)
 """
 
 from __future__ import annotations
@@ -18,7 +21,7 @@ from calib.ranges import Feeds
 from runtime.boxcode import DELTA_COUNT
 from runtime.session import open_session
 
-DEPTH_WEIGHT = 4.0
+DECISIVE_WEIGHT = 4.0
 _LOGITS, _DELTAS = "cls_logits", "box_deltas"
 _DEPTH_COLUMN = 6
 _SMALLEST_VARIANCE = 1e-12
@@ -79,7 +82,9 @@ def _anchor_weights(names: Sequence[str], outputs: Sequence[NDArray[np.float32]]
 def _column_weights(name: str, columns: int) -> NDArray[np.float64]:
     weights = np.ones(columns)
     if name == _DELTAS and columns == DELTA_COUNT:
-        weights[_DEPTH_COLUMN] = DEPTH_WEIGHT
+        weights[_DEPTH_COLUMN] = DECISIVE_WEIGHT
+    if name == _LOGITS:
+        weights[:-1] = DECISIVE_WEIGHT  # the last tells the facing
     return weights
 
 

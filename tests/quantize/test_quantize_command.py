@@ -123,7 +123,7 @@ def test_a_model_and_its_report_come_out(arguments, drives, tmp_path, capsys) ->
     assert sorted(path.name for path in tmp_path.iterdir() if path.name.startswith(".")) == []
 
     before = (out / "model.onnx").read_bytes()
-    assert run(*arguments, "--frames", 3, "--out", out, *validation) == 0
+    assert run(*arguments, "--frames", 3, "--out", out, *validation, "--method", "search") == 0
     assert "remembered from an earlier run" in capsys.readouterr().err
     assert (out / "model.onnx").read_bytes() == before
 
