@@ -102,10 +102,10 @@ def _nncf(*, fast: bool = True, control: bool = False) -> Callable[[Job, Path], 
     return make
 
 
-def _edge(*, control: bool = False) -> Callable[[Job, Path], None]:
+def _edge(*options: str, control: bool = False) -> Callable[[Job, Path], None]:
     def make(job: Job, out: Path) -> None:
         command = [sys.executable, "-m", "edge", "quantize", str(job.model.path), "--no-cache"]
-        command += ["--calibration", job.calibration, "--frames", str(job.frames), "--out", str(out)]
+        command += ["--calibration", job.calibration, "--frames", str(job.frames), "--out", str(out), *options]
         if control:
             command += ["--validation", job.control.uri, "--max-disagreement", f"{job.control.max_disagreement:g}"]
         ran = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
@@ -118,6 +118,7 @@ def _edge(*, control: bool = False) -> Callable[[Job, Path], None]:
 
 PEERS: dict[str, Peer] = {
     "edge": Peer("edge quantize", "none", None, _edge()),
+    "edge-minmax": Peer("edge quantize, minmax", "--method minmax", None, _edge("--method", "minmax")),
     "edge-budget": Peer("edge quantize, budget", "--max-disagreement", None, _edge(control=True), controlled=True),
     **{
         f"ort-{method.lower()}": Peer(
