@@ -38,7 +38,7 @@ def test_reference_alone(toy_model: Callable[..., Path], uri: str):
     assert record.ap["Car"]["2d"]["0.7"]["R40"][1] > 0
     low, high = record.ap_interval95["Car"]["2d"]["0.7"]["R40"][1]
     assert low <= high
-    assert set(record.latency_ms) == {"read", "preprocess", "inference", "decode", "total"}
+    assert set(record.latency_ms) == {"read", "preprocess", "inference", "decode", "refine", "total"}
 
 
 def test_against_a_reference_on_one_open_source(toy_model: Callable[..., Path], uri: str):
