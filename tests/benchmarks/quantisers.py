@@ -198,4 +198,8 @@ def _reason(error: Exception) -> str:
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    try:
+        typer.run(main)
+    except EdgeError as failure:
+        typer.echo(f"error: {failure}", err=True)
+        sys.exit(2)

@@ -121,3 +121,10 @@ def test_nncf_gives_a_model_that_our_runtime_runs(bench, name) -> None:
     _, row = bench.rows(timed_frames=0)
     assert row.error is None
     assert 0 < row.share < 1  # it leaves convolutions float that ONNX Runtime could fuse
+
+
+def test_our_own_quantiser_runs_as_a_user_runs_it(bench, monkeypatch, tmp_path) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    bench.quantise("edge-minmax")
+    assert bench.kept("edge-minmax").error is None
+    assert open_model_directory(bench.out / "edge-minmax").manifest.recipe.startswith("static_")
