@@ -30,7 +30,7 @@ def context_of(words: list[str]) -> typer.Context:
     [
         (
             ["quantize", "/a/b/fp32", "--out", "/c/int8"],
-            "--target x86-vnni --method mse",
+            "--target x86-vnni --method ",
         ),
         (
             ["quantize", "fp32", "--out", "int8", "--calibration", "kitti-object:/k/object?split=train&limit=5"],
