@@ -1,8 +1,9 @@
 """From head outputs to 3D boxes, on the CPU in NumPy (paper, section III-A1; official order of steps).
 
 Usable anchors whose best class passes the threshold are decoded, clipped, dropped where their class has no prior,
-and thinned by NMS. Kept from the official code: NMS over all classes (a field of the manifest), the one-sided clip,
-no limit on the number of boxes. Corrected: class names belong to their boxes; boxes at or behind the camera or
+and thinned by NMS; where the manifest asks for it, what is kept becomes the mean of all that agree (`runtime.voting`).
+Kept from the official code: NMS over all classes (a field of the manifest), the one-sided clip, no limit on the
+number of boxes. Corrected: class names belong to their boxes; boxes at or behind the camera or
 without a positive size are dropped; angles are wrapped unless ``official_angles`` asks for the recorded form.
 """
 
@@ -37,6 +38,7 @@ from runtime.contracts.objects import Detections3D, wrap_angle_rad
 from runtime.hill_climbing import CLIMBING_CLASS, climb
 from runtime.nms import non_maximum_suppression
 from runtime.preprocess import NetworkView
+from runtime.voting import LEAST_SCORE_SHARE, voted_boxes
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,15 +125,21 @@ class Decoder:
         self, cls_logits: FloatArray32, box_deltas: FloatArray32, *, P2: FloatArray, score: float
     ) -> NetworkBoxes:
         """`candidates` after NMS, by falling score; turned to fit their 2D boxes where the manifest asks for it."""
-        found = self.candidates(cls_logits, box_deltas, P2=P2, score=score)
         policy = self._manifest.nms
-        keep = non_maximum_suppression(
-            found.boxes[:, X1 : Y2 + 1].astype(np.float64),
-            found.score.astype(np.float64),
-            policy.iou,
-            groups=found.class_id if policy.per_class else None,
-        )
+        votes = policy.voting_iou is not None
+        found = self.candidates(cls_logits, box_deltas, P2=P2, score=LEAST_SCORE_SHARE * score if votes else score)
+        passed = np.flatnonzero(found.score > score) if votes else np.arange(len(found.score))
+        keep = passed[
+            non_maximum_suppression(
+                found.boxes[passed, X1 : Y2 + 1].astype(np.float64),
+                found.score[passed].astype(np.float64),
+                policy.iou,
+                groups=found.class_id[passed] if policy.per_class else None,
+            )
+        ]
         boxes, class_id = found.boxes[keep], found.class_id[keep]
+        if policy.voting_iou is not None:
+            boxes = voted_boxes(found.boxes, found.score, found.class_id, keep, iou=policy.voting_iou)
         if self._manifest.hill_climbing and CLIMBING_CLASS in self._manifest.classes:
             cars = class_id == self._manifest.classes.index(CLIMBING_CLASS)
             boxes = climb(boxes, cars, P2=P2, size_hw=self._manifest.input_size_hw)

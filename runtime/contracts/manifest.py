@@ -95,10 +95,17 @@ class AnchorLayout:
 
 @dataclass(frozen=True, slots=True)
 class NmsPolicy:
-    """Non-maximum suppression: over all classes together (the official behaviour) or within each class."""
+    """Non-maximum suppression: over all classes together (the official behaviour) or within each class.
+
+    Attributes:
+        iou: overlap from which on the lower box is dropped; per_class: only boxes of one class drop each other.
+        voting_iou: overlap from which on boxes of the same class have a vote on the kept one (`runtime.voting`); None
+            keeps it as it is (official).
+    """
 
     iou: float = 0.4
     per_class: bool = False
+    voting_iou: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

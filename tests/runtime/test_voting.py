@@ -1,0 +1,88 @@
+"""Votes of boxes that agree with a kept one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from edge.detector.presets import preset
+from runtime.boxcode import ALPHA, CX, X1, Y2, Z
+from runtime.contracts.manifest import AnchorPriors
+from runtime.decode import Decoder
+from runtime.voting import voted_boxes
+
+IOU = 0.7
+FLOAT32_SHARE = 1e-6
+P2 = np.array([[520.0, 0, 448.0, 0], [0, 520.0, 60.0, 0], [0, 0, 1, 0]])
+
+
+def box(*, shift: float = 0.0, z: float = 20.0, alpha: float = 0.1) -> np.ndarray:
+    return np.array([100 + shift, 50, 160 + shift, 90, 130 + shift, 70, z, 1.6, 1.5, 4.0, alpha], np.float32)
+
+
+def voted(boxes: list[np.ndarray], score: list[float], class_id: list[int] | None = None) -> np.ndarray:
+    ids = np.array([0] * len(boxes) if class_id is None else class_id)
+    return voted_boxes(np.stack(boxes), np.array(score, np.float32), ids, np.array([0]), iou=IOU)[0]
+
+
+def test_no_box_gives_no_box() -> None:
+    none = np.zeros((0, 11), np.float32)
+    ids = np.zeros(0, np.int64)
+    assert voted_boxes(none, np.zeros(0, np.float32), ids, ids, iou=IOU).shape == (0, 11)
+
+
+def test_a_box_alone_stays_to_the_bit() -> None:
+    np.testing.assert_array_equal(voted([box(alpha=3.1)], [0.7]), box(alpha=3.1))
+
+
+def test_boxes_that_agree_are_averaged_by_the_square_of_their_scores() -> None:
+    found = voted([box(), box(shift=4.0, z=21.0)], [0.8, 0.4])
+    share = 0.16 / 0.80
+    assert found[CX] == pytest.approx(130 + 4 * share, rel=FLOAT32_SHARE)
+    assert found[Z] == pytest.approx(20 + share, rel=FLOAT32_SHARE)
+
+
+@pytest.mark.parametrize(
+    ("other", "score", "class_id"),
+    [
+        (box(shift=40.0), 0.7, 0),  # elsewhere in the image
+        (box(z=30.0), 0.7, 0),  # behind it
+        (box(z=21.0), 0.7, 1),  # of another class
+        (box(z=21.0), 0.35, 0),  # hardly a box
+    ],
+)
+def test_boxes_that_do_not_agree_have_no_vote(other: np.ndarray, score: float, class_id: int) -> None:
+    np.testing.assert_array_equal(voted([box(), other], [0.8, score], [0, class_id]), box())
+
+
+def test_angles_are_averaged_across_the_turn_and_only_with_their_like() -> None:
+    around = voted([box(alpha=3.1), box(alpha=-3.1)], [0.8, 0.8])
+    assert np.cos(around[ALPHA]) == pytest.approx(-1.0, abs=FLOAT32_SHARE)
+    opposite = voted([box(alpha=0.1), box(alpha=0.1 - np.pi, z=21.0)], [0.8, 0.8])
+    assert opposite[ALPHA] == pytest.approx(0.1, rel=FLOAT32_SHARE)
+    assert opposite[Z] == pytest.approx(20.5, rel=FLOAT32_SHARE)
+
+
+def test_boxes_do_not_depend_on_the_threshold_of_the_call() -> None:
+    manifest = replace(preset("compact").manifest(), input_size_hw=(96, 192))
+    layout = manifest.anchors
+    shape = (3, layout.scale_count, len(layout.ratios), 6)
+    mean = np.broadcast_to(np.array([20, 0.1, 0.9, 1.6, 1.5, 3.9], np.float32), shape).copy()
+    decoder = Decoder(manifest, AnchorPriors(mean, np.full(shape, 0.5, np.float32)))
+    rng = np.random.default_rng(3)
+    count = 6 * 12 * layout.per_cell
+    logits = rng.normal(-3, 2, (1, count, 4)).astype(np.float32)
+    deltas = rng.normal(0, 0.2, (1, count, 12)).astype(np.float32)
+    low, high = (decoder.decode_in_network(logits, deltas, P2=P2, score=score) for score in (0.1, 0.6))
+    assert 0 < len(high.score) < len(low.score)
+    chosen = low.score > 0.6
+    np.testing.assert_array_equal(low.anchor_index[chosen], high.anchor_index)
+    np.testing.assert_array_equal(low.boxes[chosen], high.boxes)
+    plain = Decoder(
+        replace(manifest, nms=replace(manifest.nms, voting_iou=None)),
+        AnchorPriors(mean, np.ones(shape, np.float32) / 2),
+    )
+    unvoted = plain.decode_in_network(logits, deltas, P2=P2, score=0.6)
+    assert not np.array_equal(unvoted.boxes[:, X1 : Y2 + 1], high.boxes[:, X1 : Y2 + 1])
