@@ -26,6 +26,7 @@ BORDER_PX = 3.0
 MAX_COVERED_SHARE = 0.02  # by the 2D box of a nearer object
 MIN_OUTLINE_IOU = 0.7  # of the mask's bounding box and the label's
 MIN_AGREEMENT = 0.68  # share of the mask that three of four votes are for
+MAX_FILL = 0.72  # share of a person's box: beyond, what is around came along
 MIN_TEXTURE = 12.0  # standard deviation of grey levels inside
 MEMBERS = 60  # of a class in a source
 NEIGHBOURS_TRIED = 6  # where one cannot be cut out cleanly
@@ -179,6 +180,8 @@ def cut_out(
     left_mask = agreed_mask(evidence[0], evidence[1])
     right_mask = agreed_mask(evidence[1], evidence[0], right=True)
     if left_mask is None or right_mask is None or _outline_iou(left_mask, box) < MIN_OUTLINE_IOU:
+        return None
+    if name != "Car" and left_mask.opacity.sum() > MAX_FILL * (box[2:] - box[:2]).prod():
         return None
     inside = _window(grey[0], left_mask)[left_mask.opacity > 0.5]
     if min(left_mask.agreement, right_mask.agreement) < MIN_AGREEMENT or inside.std() < MIN_TEXTURE:

@@ -27,6 +27,7 @@ MIN_MATCHED_SHARE = 0.35  # of the outline, else there is too little texture to 
 CUT_HEIGHT_PX = 110  # larger windows are refined at this height, for speed
 CUT_ROUNDS = 2
 GROUND_SLACK_PX = 0.7
+BLOWN_OUT = 245
 MIN_VOTES, SURE_VOTES = 1.9, 2.9  # of four
 
 
@@ -153,7 +154,9 @@ def look_for_object(
     behind = (found >= 0) & (found < farthest_px - DISPARITY_SLACK_PX)
     if without_ground:
         ground = outline & (found < focal_baseline / np.where(outline, exit_, 1.0) + GROUND_SLACK_PX) & below
-        inside &= ~ground
+        lower = np.arange(y1, y2)[:, None] > (box[1] + box[3]) / 2
+        behind |= lower & (picture[y1:y2, x1:x2].min(axis=2) >= BLOWN_OUT)  # a glaring road matches anything
+        inside &= ~(ground | behind)
     solid = _one_piece(inside.astype(np.uint8))
     refined = _along_edges(picture[y1:y2, x1:x2], solid, (outline & ~behind).astype(np.uint8))
     known = np.where(inside, found, np.median(found[inside]))
