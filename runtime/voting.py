@@ -2,7 +2,8 @@
 
 Neighbouring anchors on one object predict nearly the same box, and which of them scores highest hangs on the last
 digits: 8 bits alone make suppression keep another one, whose place is a few centimetres off. The mean over all that
-agree changes little with any of them (box voting: Gidaris and Komodakis, ICCV 2015, section 4.3, here for all numbers of a 3D box).
+agree changes little with any of them (box voting: Gidaris and Komodakis, ICCV 2015, section 4.3; here for all numbers
+of a 3D box).
 """
 
 from __future__ import annotations
