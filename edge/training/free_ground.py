@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.training.disparity_targets import grey_of
+from edge.training.object_masks import disparity_at
 from runtime.contracts.frame import StereoFrame
 from runtime.contracts.geometry import FloatArray, StereoGeometry, project_to_image
 from runtime.contracts.objects import Objects3D
@@ -92,8 +93,8 @@ def is_on_ground(
         return False
     rows = (np.arange(patch.shape[0]) + max(int(box[1]) // HALF, 0) + 0.5) * HALF
     # a ground pixel's ray: y = (v - c_v) z / f = height + slope z
-    per_metre = (rows - geometry.P2[1, 2]) / geometry.P2[1, 1] - ground.slope
-    expected = geometry.focal_px * geometry.baseline_m * per_metre / ground.height_m
+    per_metre = np.maximum((rows - geometry.P2[1, 2]) / geometry.P2[1, 1] - ground.slope, 1e-6)
+    expected = disparity_at(geometry, ground.height_m / per_metre)
     known = patch > 0
     off = np.abs(patch - expected[:, None])
     matched_share = float(known.mean())

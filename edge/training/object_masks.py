@@ -101,6 +101,13 @@ def depth_along_rays(
     )
 
 
+def disparity_at(geometry: StereoGeometry, depth_m: FloatArray) -> FloatArray:
+    """Disparity in pixels at a depth: ``f b / z + (c_left - c_right)``; a real rig's columns may differ."""
+    offset_px = geometry.P2[0, 2] - geometry.P3[0, 2]
+    disparity_px: FloatArray = geometry.focal_px * geometry.baseline_m / depth_m + offset_px
+    return disparity_px
+
+
 def look_for_object(
     reference: NDArray[np.uint8],
     other: NDArray[np.uint8],
@@ -143,17 +150,18 @@ def look_for_object(
     outline = (entry < exit_) & (entry > 1.0)
     if outline.sum() < MARGIN_PX**2:
         return None
-    focal_baseline = geometry.focal_px * geometry.baseline_m
-    nearest_px = np.where(outline, focal_baseline / np.where(outline, entry, 1.0) + DISPARITY_SLACK_PX, 0.0)
-    farthest_px = np.where(outline, focal_baseline / np.where(outline, exit_, 1.0) - DISPARITY_SLACK_PX, 0.0)
-    limits = float(farthest_px[outline].min()), float(nearest_px.max())
+    entry_px, exit_px = (
+        np.where(outline, disparity_at(geometry, np.where(outline, depth_m, 1.0)), 0.0) for depth_m in (entry, exit_)
+    )
+    nearest_px, farthest_px = entry_px + DISPARITY_SLACK_PX, exit_px - DISPARITY_SLACK_PX
+    limits = float(farthest_px[outline].min()), float(nearest_px[outline].max())
     found = _disparity(reference, other, (x1, y1, x2, y2), limits=limits, right=right)
     inside = outline & (found >= farthest_px) & (found <= nearest_px)
     if inside.sum() < MIN_MATCHED_SHARE * outline.sum():
         return None
     behind = (found >= 0) & (found < farthest_px - DISPARITY_SLACK_PX)
     if without_ground:
-        ground = outline & (found < focal_baseline / np.where(outline, exit_, 1.0) + GROUND_SLACK_PX) & below
+        ground = outline & (found < exit_px + GROUND_SLACK_PX) & below
         lower = np.arange(y1, y2)[:, None] > (box[1] + box[3]) / 2
         behind |= lower & (picture[y1:y2, x1:x2].min(axis=2) >= BLOWN_OUT)  # a glaring road matches anything
         inside &= ~(ground | behind)

@@ -15,7 +15,7 @@ from edge.detector.presets import preset
 from edge.training import free_ground
 from edge.training.frame_changes import FrameChanges, frame_changes
 from edge.training.object_bank import ObjectBank, cut_out, plain_objects
-from edge.training.object_masks import depth_along_rays
+from edge.training.object_masks import depth_along_rays, disparity_at
 from edge.training.paste import ObjectPaster, paste_object, place_at
 from edge.training.samples import SampleMaker
 from edge.training.stream import MixedFrames
@@ -157,6 +157,17 @@ def test_rays_meet_the_box_where_its_corners_are() -> None:
     assert entry[0, 1] > exit_[0, 1]  # a ray far off
     assert exit_[0, 0] - entry[0, 0] == pytest.approx(WALKER_HWL[2] + 0.24, abs=0.05)
     assert not below[0, 0]
+
+
+def test_disparity_counts_the_principal_columns() -> None:
+    plain = geometry()
+    P3 = plain.P3.copy()
+    P3[0, 2] += 0.48
+    shifted = StereoGeometry(plain.P2, P3, SIZE_WH)
+    point = np.array([[1.0, 0.5, 20.0]])
+    for rig in (plain, shifted):
+        (left,), (right,) = (project_to_image(P, point)[0] for P in (rig.P2, rig.P3))
+        assert disparity_at(rig, np.array(20.0)) == pytest.approx(left[0] - right[0], abs=EXACT)
 
 
 def test_a_cut_holds_the_object_and_not_what_is_behind() -> None:
