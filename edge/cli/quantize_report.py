@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from runtime.contracts.measurement import Measurement
     from runtime.peak_memory import PeakMemory
 
-NOISE_FRAMES, TIMED_FRAMES, TIMED_REPEAT = 2, 4, 3
+NOISE_FRAMES, TIMED_FRAMES, TIMED_REPEAT = 2, 4, 2
 PLOTTED_LAYERS = 6
-REPORT_FRAMES = 20
+REPORT_FRAMES = 12
 """Frames of the bundled drive that the report measures; a --validation source is measured whole."""
 
 

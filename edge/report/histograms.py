@@ -58,8 +58,10 @@ def write_range_plots(path: Path, plots: Sequence[RangePlot]) -> None:
     import matplotlib.pyplot as plt
 
     rows = -(-len(plots) // COLUMNS)
-    figure, axes = plt.subplots(
-        rows, COLUMNS, figsize=(COLUMNS * INCHES_WH[0], rows * INCHES_WH[1]), squeeze=False, layout="constrained"
+    figure, axes = plt.subplots(rows, COLUMNS, figsize=(COLUMNS * INCHES_WH[0], rows * INCHES_WH[1]), squeeze=False)
+    # measured by hand: a layout engine draws everything three times over
+    figure.subplots_adjust(
+        left=0.05, right=0.98, bottom=0.08 / rows + 0.02, top=1 - 0.25 / rows, hspace=0.55, wspace=0.2
     )
     for axis in axes.flat[len(plots) :]:
         axis.set_axis_off()
