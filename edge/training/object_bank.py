@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.training.disparity_targets import grey_of
-from edge.training.object_masks import ViewMask, agreed_mask, look_for_object
-from runtime.contracts.geometry import FloatArray, StereoGeometry, project_to_image
+from edge.training.object_masks import ViewMask, agreed_mask, disparity_at, look_for_object
+from runtime.contracts.geometry import FloatArray, StereoGeometry
 from runtime.contracts.objects import Objects3D, box_corners
 from runtime.sources.base import FrameSequence
 
@@ -26,7 +26,7 @@ BORDER_PX = 3.0
 MAX_COVERED_SHARE = 0.02  # by the 2D box of a nearer object
 MIN_OUTLINE_IOU = 0.7  # of the mask's bounding box and the label's
 MIN_AGREEMENT = 0.68  # share of the mask that three of four votes are for
-MAX_FILL = 0.72  # share of a person's box: beyond, what is around came along
+MAX_FILL = 0.78  # share of a person's box: beyond, what is around came along
 MIN_TEXTURE = 12.0  # standard deviation of grey levels inside
 MEMBERS = 60  # of a class in a source
 NEIGHBOURS_TRIED = 6  # where one cannot be cut out cleanly
@@ -162,10 +162,7 @@ def cut_out(
     """
     box = objects.box_in_left_image[row]
     size_wh = geometry.image_size_wh
-    center, size = objects.center_in_camera[row : row + 1], objects.size_hwl[row : row + 1]
-    corners = box_corners(center, size, objects.yaw_rad[row : row + 1])
-    in_right, _ = project_to_image(geometry.P3, corners[0])
-    box_in_right = np.concatenate([in_right.min(axis=0), in_right.max(axis=0)])
+    box_in_right = _box_in_right(objects, row, geometry)
     if box[2] > size_wh[0] - BORDER_PX or box[3] > size_wh[1] - BORDER_PX or box_in_right[0] < BORDER_PX:
         return None
     grey = [grey_of(image) for image in (left, right)]
@@ -198,6 +195,15 @@ def cut_out(
         geometry=geometry,
         surroundings_bgr=around.mean(axis=0) if len(around) else np.full(3, 96.0),
     )
+
+
+def _box_in_right(objects: Objects3D, row: int, geometry: StereoGeometry) -> FloatArray:
+    """(4,) the labelled box moved by the disparities of the object's near and far side."""
+    corners = box_corners(objects.center_in_camera, objects.size_hwl, objects.yaw_rad)[row]
+    disparity_px = disparity_at(geometry, corners[:, 2] + geometry.P2[2, 3])
+    box = objects.box_in_left_image[row]
+    middle, reach = (disparity_px.min() + disparity_px.max()) / 2, (disparity_px.max() - disparity_px.min()) / 4
+    return box - [middle + reach, 0.0, middle - reach, 0.0]
 
 
 def _window(image: NDArray[np.uint8], mask: ViewMask) -> NDArray[np.uint8]:

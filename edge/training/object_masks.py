@@ -128,7 +128,7 @@ def look_for_object(
         geometry: of the pair.
         objects: labels.
         row: which of them.
-        box: (4,) xyxy around the object in ``reference``.
+        box: (4,) xyxy around the object in ``reference``; nothing outside is the object's.
         right: ``reference`` is the right view.
         without_ground: the ground within the box is left out; a car's shadow goes with it, a walker's road does not.
 
@@ -147,7 +147,9 @@ def look_for_object(
         objects=objects,
         row=row,
     )
-    outline = (entry < exit_) & (entry > 1.0)
+    v, u = np.ogrid[y1:y2, x1:x2]
+    within = (u >= box[0] - 1) & (u <= box[2] + 1) & (v >= box[1] - 1) & (v <= box[3] + 1)
+    outline = (entry < exit_) & (entry > 1.0) & within
     if outline.sum() < MARGIN_PX**2:
         return None
     entry_px, exit_px = (
