@@ -76,11 +76,13 @@ def refine_depths(found: Detections3D, left: Pixels, right: Pixels, geometry: St
     for row in range(len(found)):
         kind = found.class_names[int(found.class_id[row])]
         columns, rows = _samples(found.box_in_left_image[row], left.shape[:2], kind)
+        if len(rows) == 0:
+            continue
         behind_m = _surface(
             columns, P2, centers[row] + shift, found.size_hwl[row], float(found.yaw_rad[row]), solid=kind in VEHICLES
         )
         hit = np.isfinite(behind_m)
-        if len(rows) == 0 or np.count_nonzero(hit) < FEWEST - 1:
+        if np.count_nonzero(hit) < FEWEST - 1:
             continue
         search = _Search(views[0], views[1], columns[hit], rows - first, behind_m[hit], focal_baseline, offset_px)
         depth_m = search.best(float(centers[row, 2]))
@@ -205,5 +207,5 @@ def _surface(
     with np.errstate(divide="ignore", invalid="ignore"):
         crossings = (np.array([[-1.0], [1.0]])[:, None] * half[:, None] - origin[:, None]) / direction
     enter, leave = crossings.min(axis=0).max(axis=0), crossings.max(axis=0).min(axis=0)
-    missed: FloatArray = np.where(leave >= enter, enter - center[2], np.nan)
-    return missed
+    behind_m: FloatArray = np.where(leave >= enter, enter - center[2], np.nan)
+    return behind_m

@@ -11,8 +11,14 @@ import numpy as np
 from edge.evaluation.average_precision import AveragePrecision, average_precision
 from edge.evaluation.matching import COUNTED, Evidence, MatchRecord, label_states, match
 from edge.evaluation.rules import CLASS_RULES, DIFFICULTIES, EVALUATED_CLASSES, METRICS, ClassRule
-from edge.evaluation.tables import DetectionTable, LabelTable, detection_table, label_table, pair_table
-from runtime.contracts.errors import FormatError
+from edge.evaluation.tables import (
+    DetectionTable,
+    LabelTable,
+    check_same_frames,
+    detection_table,
+    label_table,
+    pair_table,
+)
 from runtime.contracts.kitti import KITTI_CLASSES, MISSING_ALPHA_RAD
 from runtime.contracts.objects import Detections3D, IntArray, Objects3D
 
@@ -92,11 +98,7 @@ def evaluate(
     Raises:
         FormatError: the two lists differ in length.
     """
-    if len(labels) != len(detections):
-        raise FormatError(
-            f"labels cover {len(labels)} frames and detections {len(detections)}, expected the same frames; "
-            "give one record a frame in both"
-        )
+    check_same_frames(labels, detections)
     label_rows, detection_rows = label_table(labels), detection_table(detections)
     evidence = Evidence(label_rows, detection_rows, pair_table(label_rows, detection_rows))
     rules = [rule for rule in CLASS_RULES if rule.name in classes]

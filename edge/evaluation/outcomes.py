@@ -15,8 +15,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from edge.evaluation.rules import CLASS_RULES, EVALUATED_CLASSES, ClassRule
-from edge.evaluation.tables import DetectionTable, LabelTable, PairTable, detection_table, label_table, pair_table
-from runtime.contracts.errors import FormatError
+from edge.evaluation.tables import (
+    DetectionTable,
+    LabelTable,
+    PairTable,
+    check_same_frames,
+    detection_table,
+    label_table,
+    pair_table,
+)
 from runtime.contracts.kitti import KITTI_CLASSES
 from runtime.contracts.objects import Detections3D, Objects3D
 
@@ -105,11 +112,7 @@ def judge(
     Raises:
         FormatError: the two lists differ in length.
     """
-    if len(labels) != len(detections):
-        raise FormatError(
-            f"labels cover {len(labels)} frames and detections {len(detections)}, expected the same frames; "
-            "give one record a frame in both"
-        )
+    check_same_frames(labels, detections)
     truth, found = label_table(labels), detection_table(detections)
     pairs = pair_table(truth, found)
     near = _Neighbours(pairs)

@@ -9,6 +9,7 @@ import numpy as np
 
 from edge.evaluation.rotated_iou import intersection_areas
 from edge.evaluation.rules import LOWEST_OVERLAP, Metric
+from runtime.contracts.errors import FormatError
 from runtime.contracts.kitti import KITTI_CLASSES
 from runtime.contracts.objects import Detections3D, FloatArray, IntArray, Objects3D
 
@@ -182,3 +183,16 @@ def solid_overlap(first: FloatArray, second: FloatArray) -> tuple[FloatArray, Fl
     volume = shared * np.maximum(height, 0.0)
     whole = first_area * (first[:, 6] - first[:, 5]) + second_area * (second[:, 6] - second[:, 5]) - volume
     return bev, np.divide(volume, whole, out=np.zeros_like(volume), where=volume > 0)
+
+
+def check_same_frames(labels: Sequence[Objects3D], detections: Sequence[Detections3D]) -> None:
+    """Labels and detections must be records of the same frames, one each.
+
+    Raises:
+        FormatError: the two lists differ in length.
+    """
+    if len(labels) != len(detections):
+        raise FormatError(
+            f"labels cover {len(labels)} frames and detections {len(detections)}, expected the same frames; "
+            "give one record a frame in both"
+        )
