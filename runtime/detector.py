@@ -20,7 +20,7 @@ from runtime.contracts.manifest import Manifest, ModelDirectory, open_model_dire
 from runtime.contracts.objects import Detections3D
 from runtime.decode import Decoder
 from runtime.preprocess import NetworkView, network_view, prepare
-from runtime.refine import refine_depths
+from runtime.refinement import refine_depths
 from runtime.rig import check_rig
 from runtime.session import Session, open_session
 

@@ -140,7 +140,7 @@ class Manifest:
         preset: preset name; classes: names in channel order; input_size_hw: network pixels; input_type: of the graph
         inputs; views: 2 for stereo, 1 for mono; recipe: how the numbers are stored (``float32`` or a quantisation
         recipe's name); hill_climbing, depth_refinement: what happens to boxes after decoding
-        (`runtime.hill_climbing`, `runtime.refine`); sha256: of model.onnx and priors.npz, by file name; tools:
+        (`runtime.hill_climbing`, `runtime.refinement`); sha256: of model.onnx and priors.npz, by file name; tools:
         versions; provenance: free text facts (checkpoint hash, calibration frames, command).
     """
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import cv2
 import numpy as np
 import pytest
 
 from runtime.contracts.geometry import StereoGeometry
 from runtime.contracts.objects import Detections3D
-from runtime.refine import refine_depths
+from runtime.refinement import refine_depths
 
 FOCAL_PX, BASELINE_M, SIZE_WH = 700.0, 0.5, (600, 240)
 CLASSES = ("Car", "Pedestrian")
@@ -101,6 +103,52 @@ def test_what_stands_beside_the_object_counts_little() -> None:
     left, right = pair(np.convolve(np.pad(depth, 2, mode="edge"), np.full(5, 0.2), mode="valid"))
     moved = refine_depths(one("Pedestrian", 14.3), left, right, rig())
     assert moved.center_in_camera[0, 2] == pytest.approx(15.0, rel=DEPTH_SHARE)
+
+
+def behind_something(hidden_from_column: int) -> tuple[np.ndarray, np.ndarray]:
+    """A wall at 15 m, hidden from a column on by one at 12.5 m (28 px against 23: within reach of the search)."""
+    depth = wall(15.0)
+    depth[hidden_from_column:] = 12.5
+    return pair(np.convolve(np.pad(depth, 2, mode="edge"), np.full(5, 0.2), mode="valid"))
+
+
+def both(hidden: Detections3D, *, nearer: Detections3D) -> Detections3D:
+    return Detections3D(
+        **{
+            field.name: np.concatenate([getattr(hidden, field.name), getattr(nearer, field.name)])
+            for field in dataclasses.fields(Detections3D)
+            if field.name != "class_names"
+        },
+        class_names=CLASSES,
+    )
+
+
+REAR_TO_CENTER_M = 0.92 * 2.0
+
+
+@pytest.mark.parametrize("score, believed", [(0.9, True), (0.3, False)])
+def test_what_a_nearer_box_hides_does_not_count(score: float, believed: bool) -> None:
+    left, right = behind_something(288)  # two thirds of the box
+    nearer = dataclasses.replace(
+        one("Car", 12.5 + REAR_TO_CENTER_M, box=(284, 50, 480, 200)), score=np.array([score], np.float64)
+    )
+    moved = refine_depths(both(one("Car", 16.6), nearer=nearer), left, right, rig()).center_in_camera[:, 2]
+    right_m, hider_m = 15.0 + REAR_TO_CENTER_M, 12.5 + REAR_TO_CENTER_M
+    assert moved[1] == pytest.approx(hider_m, rel=DEPTH_SHARE)
+    assert moved[0] == pytest.approx(right_m if believed else hider_m, rel=2 * DEPTH_SHARE)
+
+
+def test_what_hides_a_fifth_of_a_car_unfound_pulls_it_nowhere() -> None:
+    left, right = behind_something(326)
+    moved = refine_depths(one("Car", 16.0), left, right, rig())
+    assert moved.center_in_camera[0, 2] == pytest.approx(15.0 + REAR_TO_CENTER_M, rel=DEPTH_SHARE)
+
+
+def test_two_looks_at_one_object_do_not_hide_each_other() -> None:
+    left, right = pair(wall(15.0))
+    again = one("Car", 15.5, box=(262, 62, 342, 182))
+    moved = refine_depths(both(one("Car", 17.5), nearer=again), left, right, rig()).center_in_camera[:, 2]
+    np.testing.assert_allclose(moved, 15.0 + REAR_TO_CENTER_M, rtol=DEPTH_SHARE)
 
 
 def test_without_texture_the_depth_of_the_network_stays() -> None:
