@@ -8,8 +8,8 @@ the new depth. The box keeps its place in the image, its size and its angles. Th
 (Stereo R-CNN, CVPR 2019, section 5); surface, matching cost, search and prior are this project's own.
 
 Both views are compared after local normalisation, so that exposure may differ. What hides an object must not give it
-its depth: boxes are moved from near to far, samples under a nearer box are left out, and of a vehicle's patches those
-that match worst do not count.
+its depth: boxes are moved from near to far, a vehicle's samples under a nearer box are left out, and of its patches
+those that match worst do not count. People are looked at through a narrow strip, hidden as a whole or not at all.
 """
 
 from __future__ import annotations
@@ -47,25 +47,30 @@ def refine_depths(found: Detections3D, left: Pixels, right: Pixels, geometry: St
     centers = found.center_in_camera.copy()
     for row in np.argsort(centers[:, 2], kind="stable"):
         kind = found.class_names[int(found.class_id[row])]
+        solid = kind in VEHICLES
         columns, rows = sample_positions(found.box_in_left_image[row], left.shape[:2], kind)
         if len(rows) == 0:
             continue
         behind_m = surface_behind_center(
-            columns, P2, centers[row] + shift, found.size_hwl[row], float(found.yaw_rad[row]), solid=kind in VEHICLES
+            columns, P2, centers[row] + shift, found.size_hwl[row], float(found.yaw_rad[row]), solid=solid
         )
         hit = np.isfinite(behind_m)
         if np.count_nonzero(hit) < FEWEST - 1:
             continue
+        columns, behind_m = columns[hit], behind_m[hit]
+        seen = np.ones((len(rows), len(columns)), np.bool_)
+        if solid:
+            seen = seen_samples(found, int(row), centers[:, 2], columns, rows)
         matching = Matching(
             views[0],
             views[1],
-            columns[hit],
+            columns,
             rows - first,
-            seen_samples(found, int(row), centers[:, 2], columns[hit], rows),
-            behind_m[hit],
+            seen,
+            behind_m,
             focal_baseline,
             offset_px,
-            in_patches=kind in VEHICLES,
+            solid=solid,
         )
         depth_m = matching.best_depth(float(centers[row, 2]))
         centers[row] = (centers[row] + shift) * (depth_m / centers[row, 2]) - shift

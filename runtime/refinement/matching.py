@@ -19,7 +19,7 @@ WINDOW_PX: Final = 11
 """Side of the square over which brightness and contrast are normalised."""
 CONTRAST_FLOOR: Final = 2.0
 """Grey levels added to the local contrast: flat walls stay flat."""
-SATURATION: Final = 0.7
+VEHICLE_SATURATION, PERSON_SATURATION = 0.7, 1.0
 """Normalised difference from which on a pixel counts as not matching at all."""
 RANGE_PX: Final = 4.0
 RANGE_SHARE: Final = 0.06
@@ -61,7 +61,7 @@ class Matching:
         behind_m: (C,) metres from the centre's depth to the surface's.
         focal_baseline: pixels times metres.
         offset_px: how much smaller all disparities are than the depths say.
-        in_patches: judge by the patches that match best, else by all samples.
+        solid: judged by the patches that match best, as vehicles are; else by all samples.
     """
 
     def __init__(
@@ -75,14 +75,15 @@ class Matching:
         focal_baseline: float,
         offset_px: float,
         *,
-        in_patches: bool,
+        solid: bool,
     ) -> None:
         self._right, self._columns, self._behind_m, self._seen = right, columns, behind_m, seen
         self._focal_baseline, self._offset_px = focal_baseline, offset_px
         grid = np.meshgrid(columns.astype(np.float32), rows.astype(np.float32))
         self._rows = grid[1]
         self._wanted = cv2.remap(left, grid[0], grid[1], cv2.INTER_LINEAR)
-        self._patches = _Patches(seen) if in_patches else None
+        self._patches = _Patches(seen) if solid else None
+        self._saturation = VEHICLE_SATURATION if solid else PERSON_SATURATION
 
     def best_depth(self, depth_m: float) -> float:
         """Depth of the centre, metres, at which the samples match best; starts from the network's."""
@@ -118,7 +119,7 @@ class Matching:
             borderMode=cv2.BORDER_CONSTANT,
             borderValue=_NO_MATCH,
         ).reshape(count, height, -1)
-        differences = np.minimum(np.abs(there - self._wanted) / SATURATION, 1.0)
+        differences = np.minimum(np.abs(there - self._wanted) / self._saturation, 1.0)
         if self._patches is None:
             costs: FloatArray = differences[:, self._seen].mean(axis=1, dtype=np.float64)
         else:
