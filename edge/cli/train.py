@@ -7,8 +7,11 @@ from typing import Annotated, Optional
 
 import typer
 
+from edge.cli.train_config import read_config, stages_to_run
+
 
 def train_command(
+    context: typer.Context,
     dataset: Annotated[
         list[str], typer.Option(help="Labelled source URI, of pairs but for mono; give it again for more.")
     ],
@@ -99,11 +102,24 @@ def train_command(
     ] = 0,
     seed: Annotated[int, typer.Option(help="Seed of weights, order and augmentation.")] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the run's checkpoint.")] = False,
+    config: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option(
+            is_eager=True,
+            callback=read_config,
+            help="TOML file of options and [[stages]]; options given here go first.",
+        ),
+    ] = None,
 ) -> None:
     """Train; writes weights.safetensors (averaged weights), priors.npz, run.json, logs, and checkpoints that resume.
 
     With --validation also best.safetensors. Started by torchrun, several processes or machines train as one.
     """
+    stages = stages_to_run(context, out, resume=resume)
+    for stage in stages:
+        stage.command.invoke(stage)
+    if stages:
+        return
     import torch
 
     from edge.cli.train_progress import TrainProgress
