@@ -11,11 +11,13 @@ import pytest
 import typer
 from typer.core import TyperCommand
 
+import edge.zoo
 from edge.cli.main import LazyGroup
 from edge.cli.train import train_command
 from edge.cli.train_config import stages_to_run
 from runtime.contracts.errors import EdgeError
 
+ZOO = Path(edge.zoo.__file__).parent
 RUN = """
 preset = "compact"
 dataset = ["kitti-object:a", "kitti-object:b"]
@@ -60,6 +62,14 @@ def test_stages_share_the_file_and_go_on_from_each_other(file: Path) -> None:
         assert stage["out"] == file.parent / "run"
     assert (first["steps"], first["cooldown"], first["quantize_aware"], first["resume"]) == (30, 0, False, False)
     assert (second["steps"], second["cooldown"], second["quantize_aware"], second["resume"]) == (40, 1000, True, True)
+
+
+def test_the_bundled_models_run_is_such_a_file(file: Path) -> None:
+    file.write_text((ZOO / "compact-run.toml").read_text())
+    hold, cooldown = stages(file)
+    assert hold["preset"] == cooldown["preset"] == "compact"
+    assert cooldown["steps"] - hold["steps"] == cooldown["cooldown"]
+    assert (hold["quantize_aware"], cooldown["quantize_aware"]) == (False, True)
 
 
 def test_the_command_line_goes_first(file: Path) -> None:
