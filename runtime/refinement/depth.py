@@ -2,10 +2,10 @@
 
 The network sees the pair at a fraction of its resolution and in cells of 4 and 8 pixels; what it says of depth is good
 to a third of a pixel or so, and in 8 bits a little less. The camera's images hold more. The visible surface of a box
-(its two facing sides for vehicles, an upright plane for people) is sampled in the left image and looked up in the right
-one at disparities around the network's; the one that matches best, with a mild preference for the network's own, gives
-the new depth. The box keeps its place in the image, its size and its angles. The idea is that of dense alignment
-(Stereo R-CNN, CVPR 2019, section 5); surface, matching cost, search and prior are this project's own.
+(the facing sides of a vehicle's body and cabin, an upright plane for people) is sampled in the left image and looked up
+in the right one at disparities around the network's; the one that matches best, with a mild preference for the
+network's own, gives the new depth. The box keeps its place in the image, its size and its angles. The idea is that of
+dense alignment (Stereo R-CNN, CVPR 2019, section 5); surface, matching cost, search and prior are this project's own.
 
 Both views are compared after local normalisation, so that exposure may differ. What hides an object must not give it
 its depth: boxes are moved from near to far, a vehicle's samples under a nearer box are left out, and of its patches
@@ -51,13 +51,20 @@ def refine_depths(found: Detections3D, left: Pixels, right: Pixels, geometry: St
         columns, rows = sample_positions(found.box_in_left_image[row], left.shape[:2], kind)
         if len(rows) == 0:
             continue
+        top, bottom = found.box_in_left_image[row, 1::2]
         behind_m = surface_behind_center(
-            columns, P2, centers[row] + shift, found.size_hwl[row], float(found.yaw_rad[row]), solid=solid
+            columns,
+            (rows - top) / (bottom - top),
+            P2,
+            centers[row] + shift,
+            found.size_hwl[row],
+            float(found.yaw_rad[row]),
+            solid=solid,
         )
-        hit = np.isfinite(behind_m)
+        hit = np.isfinite(behind_m[0])
         if np.count_nonzero(hit) < FEWEST - 1:
             continue
-        columns, behind_m = columns[hit], behind_m[hit]
+        columns, behind_m = columns[hit], behind_m[:, hit]
         seen = np.ones((len(rows), len(columns)), np.bool_)
         if solid:
             seen = seen_samples(found, int(row), centers[:, 2], columns, rows)

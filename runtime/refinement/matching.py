@@ -58,7 +58,7 @@ class Matching:
         columns: (C,) of the left view.
         rows: (R,) of both views.
         seen: (R, C) samples that count, at least one.
-        behind_m: (C,) metres from the centre's depth to the surface's.
+        behind_m: (R, C) metres from the centre's depth to the surface's.
         focal_baseline: pixels times metres.
         offset_px: how much smaller all disparities are than the depths say.
         solid: judged by the patches that match best, as vehicles are; else by all samples.
@@ -107,18 +107,17 @@ class Matching:
 
     def _costs(self, start_px: float, moves: FloatArray) -> FloatArray:
         """(K,) mean saturated difference of the views, plus the prior, when the centre's disparity moves."""
-        depths = np.maximum((self._focal_baseline / (start_px + moves))[:, None] + self._behind_m, 1.0)
-        looked_up = (self._columns - self._offset_px - self._focal_baseline / depths).astype(np.float32)
-        count, height = len(moves), self._rows.shape[0]
-        columns = np.repeat(looked_up[:, None, :], height, axis=1).reshape(count * height, -1)
+        depths = np.maximum((self._focal_baseline / (start_px + moves))[:, None, None] + self._behind_m, 1.0)
+        columns = (self._columns - self._offset_px - self._focal_baseline / depths).astype(np.float32)
+        count, height, width = columns.shape
         there = cv2.remap(
             self._right,
-            columns,
+            columns.reshape(count * height, width),
             np.tile(self._rows, (count, 1)),
             cv2.INTER_LINEAR,
             borderMode=cv2.BORDER_CONSTANT,
             borderValue=_NO_MATCH,
-        ).reshape(count, height, -1)
+        ).reshape(columns.shape)
         differences = np.minimum(np.abs(there - self._wanted) / self._saturation, 1.0)
         if self._patches is None:
             costs: FloatArray = differences[:, self._seen].mean(axis=1, dtype=np.float64)

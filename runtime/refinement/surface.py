@@ -8,8 +8,11 @@ import numpy as np
 
 from runtime.contracts.geometry import FloatArray
 
-SURFACE_SHARE: Final = 0.92
-"""Bodies are rounder than their boxes: the box's plan is shrunk by this before its sides are hit."""
+BODY_SHARES, CABIN_SHARES = (0.92, 0.92), (0.7, 0.85)
+"""Bodies are rounder than their boxes and windows stand back: length and width of the plan whose sides are hit, as
+shares of the box's, below and above the belt line."""
+BELT_SHARE: Final = 0.42
+"""Of the 2D box's height, from its top: where windows end."""
 VEHICLES: Final = frozenset({"Car", "Van", "Truck"})
 VEHICLE_MARGINS, PERSON_MARGINS = (0.06, 0.15, 0.12), (0.25, 0.08, 0.12)
 """Shares of the 2D box that are left out at the sides, above and below."""
@@ -40,21 +43,42 @@ def sample_positions(box: FloatArray, size_hw: tuple[int, int], kind: str) -> tu
 
 
 def surface_behind_center(
-    columns: FloatArray, P2: FloatArray, center: FloatArray, size_hwl: FloatArray, yaw_rad: float, *, solid: bool
+    columns: FloatArray,
+    down: FloatArray,
+    P2: FloatArray,
+    center: FloatArray,
+    size_hwl: FloatArray,
+    yaw_rad: float,
+    *,
+    solid: bool,
 ) -> FloatArray:
-    """(N,) metres from the centre's depth to that of the surface seen in each column; NaN where it is missed.
+    """(R, C) metres from the centre's depth to that of the surface seen in each column; NaN where it is missed.
 
     Args:
-        columns: (N,) of the left image.
+        columns: (C,) of the left image.
+        down: (R,) where each row stands between the 2D box's top (0) and bottom (1).
         P2: (3, 4).
         center: (3,) of the box in the left camera's own frame, metres.
         size_hwl: (3,) metres.
         yaw_rad: about y.
-        solid: sides of the box's shrunk plan; else the upright plane through the centre.
+        solid: the facing sides of a vehicle's body and cabin; else the upright plane through the centre.
     """
     if not solid:
-        return np.zeros(len(columns))
-    half = 0.5 * SURFACE_SHARE * size_hwl[[2, 1]]
+        return np.zeros((len(down), len(columns)))
+    body, cabin = (
+        _facing_sides(columns, P2, center, size_hwl[[2, 1]] * shares, yaw_rad) for shares in (BODY_SHARES, CABIN_SHARES)
+    )
+    cabin = np.where(np.isfinite(cabin), cabin, body)
+    behind_m: FloatArray = np.where((down < BELT_SHARE)[:, None], cabin, body)
+    behind_m[:, ~np.isfinite(body)] = np.nan
+    return behind_m
+
+
+def _facing_sides(
+    columns: FloatArray, P2: FloatArray, center: FloatArray, plan_lw: FloatArray, yaw_rad: float
+) -> FloatArray:
+    """(C,) metres from the centre's depth to the upright sides of a plan of that length and width."""
+    half = 0.5 * plan_lw
     cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
     ray = (columns - P2[0, 2]) / P2[0, 0]
     turn = np.array([[cos, -sin], [sin, cos]])  # (x, z) to (along the length, across it)

@@ -14,6 +14,7 @@ from runtime.refinement import refine_depths
 
 FOCAL_PX, BASELINE_M, SIZE_WH = 700.0, 0.5, (600, 240)
 CLASSES = ("Car", "Pedestrian")
+REAR_TO_CENTER_M = 0.92 * 2.0
 DEPTH_SHARE = 0.004
 """Half a hundredth of the depth, at 15 m a tenth of a pixel: what linear lookup of smooth texture leaves."""
 
@@ -26,16 +27,16 @@ def rig(right_offset_px: float = 0.0) -> StereoGeometry:
     return StereoGeometry(P2, P3, SIZE_WH)
 
 
-def pair(depth_of_column: np.ndarray, *, right_offset_px: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """A textured wall with a depth a left column, seen by both cameras; the texture belongs to the left columns."""
+def pair(depth: np.ndarray, *, right_offset_px: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """A textured wall with (W,) or (H, W) depths, seen by both cameras; the texture belongs to the left pixels."""
     noise = np.random.default_rng(5).uniform(0, 255, (SIZE_WH[1], SIZE_WH[0], 3)).astype(np.uint8)
     left = cv2.GaussianBlur(noise, (0, 0), 2.0)
     left = cv2.normalize(left, None, 0, 255, cv2.NORM_MINMAX)
     columns = np.arange(SIZE_WH[0], dtype=np.float64)
-    seen_at = columns - FOCAL_PX * BASELINE_M / depth_of_column + right_offset_px
-    back = np.interp(columns, seen_at, columns).astype(np.float32)  # seen_at rises: the wall hides nothing of itself
+    seen_at = columns - FOCAL_PX * BASELINE_M / np.broadcast_to(depth, SIZE_WH[::-1]) + right_offset_px
+    back = np.stack([np.interp(columns, row, columns) for row in seen_at])  # seen_at rises: no row hides any of itself
     rows = np.repeat(np.arange(SIZE_WH[1], dtype=np.float32)[:, None], SIZE_WH[0], axis=1)
-    right = cv2.remap(left, np.repeat(back[None], SIZE_WH[1], axis=0), rows, cv2.INTER_LINEAR)
+    right = cv2.remap(left, back.astype(np.float32), rows, cv2.INTER_LINEAR)
     return left, right
 
 
@@ -54,6 +55,13 @@ def one(kind: str, depth_m: float, *, box: tuple[float, float, float, float] = (
 
 def wall(depth_m: float) -> np.ndarray:
     return np.full(SIZE_WH[0], depth_m)
+
+
+def rear(depth_m: float, *, box_top: int = 60, box_bottom: int = 180) -> np.ndarray:
+    """(H, W) depths of a car's rear, 4 m long, whose windows stand back by what the plan of its cabin is shorter."""
+    belt = box_top + 0.42 * (box_bottom - box_top)
+    above = np.arange(SIZE_WH[1]) < belt
+    return np.repeat(np.where(above, depth_m + (0.92 - 0.7) * 2.0, depth_m)[:, None], SIZE_WH[0], axis=1)
 
 
 def test_nothing_found_stays_nothing() -> None:
@@ -77,9 +85,9 @@ def test_a_person_goes_to_the_depth_of_the_pixels(start_m: float) -> None:
 
 
 def test_a_car_is_as_far_behind_its_rear_as_it_is_long() -> None:
-    left, right = pair(wall(15.0))
+    left, right = pair(rear(15.0))
     moved = refine_depths(one("Car", 16.0), left, right, rig())
-    assert moved.center_in_camera[0, 2] == pytest.approx(15.0 + 0.92 * 2.0, rel=DEPTH_SHARE)
+    assert moved.center_in_camera[0, 2] == pytest.approx(15.0 + REAR_TO_CENTER_M, rel=DEPTH_SHARE)
 
 
 def test_exposure_of_one_view_does_not_matter() -> None:
@@ -106,10 +114,10 @@ def test_what_stands_beside_the_object_counts_little() -> None:
 
 
 def behind_something(hidden_from_column: int) -> tuple[np.ndarray, np.ndarray]:
-    """A wall at 15 m, hidden from a column on by one at 12.5 m (28 px against 23: within reach of the search)."""
-    depth = wall(15.0)
-    depth[hidden_from_column:] = 12.5
-    return pair(np.convolve(np.pad(depth, 2, mode="edge"), np.full(5, 0.2), mode="valid"))
+    """A car's rear at 15 m, hidden from a column on by one at 12.5 m (28 px against 23: within reach of the search)."""
+    depth = rear(15.0)
+    depth[:, hidden_from_column:] = rear(12.5)[:, hidden_from_column:]
+    return pair(cv2.blur(depth, (5, 1)))
 
 
 def both(hidden: Detections3D, *, nearer: Detections3D) -> Detections3D:
@@ -121,9 +129,6 @@ def both(hidden: Detections3D, *, nearer: Detections3D) -> Detections3D:
         },
         class_names=CLASSES,
     )
-
-
-REAR_TO_CENTER_M = 0.92 * 2.0
 
 
 @pytest.mark.parametrize("score, believed", [(0.9, True), (0.3, False)])
@@ -145,7 +150,7 @@ def test_what_hides_a_fifth_of_a_car_unfound_pulls_it_nowhere() -> None:
 
 
 def test_two_looks_at_one_object_do_not_hide_each_other() -> None:
-    left, right = pair(wall(15.0))
+    left, right = pair(rear(15.0))
     again = one("Car", 15.5, box=(262, 62, 342, 182))
     moved = refine_depths(both(one("Car", 17.5), nearer=again), left, right, rig()).center_in_camera[:, 2]
     np.testing.assert_allclose(moved, 15.0 + REAR_TO_CENTER_M, rtol=DEPTH_SHARE)
