@@ -55,7 +55,7 @@ def stages_to_run(context: Any, out: Path, *, resume: bool) -> list[Any]:
     to_run = []
     for index, stage in enumerate(stages):
         if stage["steps"] > done:
-            options = {**(context.default_map or {}), **stage, **given, "resume": resume or index > 0}
+            options = {**context.default_map, **stage, **given, "resume": resume or index > 0}
             to_run.append(
                 context.command.make_context(context.info_name, [], parent=context.parent, default_map=options)
             )

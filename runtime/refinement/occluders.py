@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from runtime.contracts.geometry import FloatArray
 from runtime.contracts.objects import Detections3D
+from runtime.nms import iou_one_to_many
 
 OCCLUDER_SCORE: Final = 0.5
 """From here on a box is believed to hide what is behind it; what is shown and what is measured hide the same."""
@@ -32,12 +33,10 @@ def seen_samples(
         depths_m: (N,) of the boxes' centres, as they stand.
         columns, rows: of the samples, camera pixels.
     """
-    boxes, own = found.box_in_left_image, found.box_in_left_image[row]
-    extent = np.minimum(boxes[:, 2:], own[2:]) - np.maximum(boxes[:, :2], own[:2])
-    shared = np.prod(np.maximum(extent, 0.0), axis=1)
-    areas = np.prod(boxes[:, 2:] - boxes[:, :2], axis=1)
-    hides = (found.score >= OCCLUDER_SCORE) & (depths_m < depths_m[row] - NEARER_BY_M) & (shared > 0)
-    hides &= shared <= SAME_OBJECT_IOU * (areas + areas[row] - shared)
+    boxes = found.box_in_left_image
+    overlap = iou_one_to_many(boxes[row], boxes)
+    hides = (found.score >= OCCLUDER_SCORE) & (depths_m < depths_m[row] - NEARER_BY_M)
+    hides &= (overlap > 0) & (overlap <= SAME_OBJECT_IOU)
     seen = np.ones((len(rows), len(columns)), np.bool_)
     for left, top, right, bottom in boxes[hides]:
         across, down = INSET_SHARE * (right - left), INSET_SHARE * (bottom - top)
