@@ -4,14 +4,14 @@ Range methods look at one tensor and weigh its rounding against its clipping ali
 rounding errors of neighbouring values are unrelated and average out in the sums that follow, clipped peaks all err to
 the same side; and the low end of a residual that a ReLU cuts off behind the addition may be clipped for nothing. So
 the best method for this network is the start, and then one tensor after another is given a few other ranges, and keeps
-one that brings the outputs closer (`quantize.output_error`). Every tensor is tried once; what time is left goes to
-those that changed the outputs most. It costs nothing at run time.
+one that brings the outputs closer (`quantize.output_error`). Every tensor is tried once, then those that changed the
+outputs most, as far as the work allowed goes. Work is counted in multiply-adds, not in seconds: the same frames give
+the same file, however busy the machine. It costs nothing at run time.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,7 +30,8 @@ from quantize.static import build
 SEARCH = "search"
 """What the command line calls it, beside the range methods."""
 SEARCH_FRAMES = 4
-TIME_LIMIT_SECS = 40.0
+MOST_MULTIPLY_ADDS = 8e12
+"""Of all trials together: everything is tried of `compact`, only the methods of a network many times as heavy."""
 _SMALLEST_GAIN = 1e-3
 """Relative; less is the luck of a few frames."""
 _SAME = 0.02
@@ -91,7 +92,7 @@ def settled_ranges(
         return RangeSearch(observation.ranges(method), method, None, None, 0)
     few = calibration.frames.first(SEARCH_FRAMES)
     plain = build(prepared, observation, observation.ranges(next(iter(METHODS)))).model
-    key = run_key(prepared, plain, few, tensors=(SEARCH, str(SEARCH_FRAMES)))
+    key = run_key(prepared, plain, few, tensors=(SEARCH, f"{MOST_MULTIPLY_ADDS:g}", calibration.frames.digest))
     known = load(key) if use_cache else None
     if known is None:
         feeds = list(
@@ -108,9 +109,8 @@ def search_ranges(
     observation: Observation,
     feeds: Sequence[Feeds],
     *,
-    time_limit_secs: float = TIME_LIMIT_SECS,
+    most_multiply_adds: float = MOST_MULTIPLY_ADDS,
     progress: Progress = no_progress,
-    clock: Callable[[], float] = time.monotonic,
 ) -> RangeSearch:
     """Finds ranges for the tensors of a placement.
 
@@ -118,22 +118,21 @@ def search_ranges(
         prepared: The float model.
         observation: Its calibration.
         feeds: A few calibration frames, more than one.
-        time_limit_secs: No further range is tried after that; the methods themselves always are.
+        most_multiply_adds: No range is tried that would exceed it; the methods themselves always are.
         progress: Told after every trial.
-        clock: Seconds.
     """
-    ends_at = clock() + time_limit_secs
     measure = OutputError(prepared.model, feeds)
     by_method = {method: observation.ranges(method) for method in METHODS}
     tensors = list(prepared.placement.observed)
-    planned = len(METHODS) + 2 * len(tensors)
+    affordable = int(most_multiply_adds / max(1, len(feeds) * sum(prepared.products.values())))
+    planned = max(len(METHODS), min(len(METHODS) + 2 * len(tensors), affordable))
     trials = 0
 
     def error_of(ranges: Mapping[str, Range]) -> float:
         nonlocal trials
         error = measure.of(build(prepared, observation, ranges).model)
         trials += 1
-        progress(_STAGE, trials, max(planned, trials))
+        progress(_STAGE, trials, planned)
         return error
 
     errors = {method: error_of(ranges) for method, ranges in by_method.items()}
@@ -154,12 +153,9 @@ def search_ranges(
             best, best_error = changed, error
 
     for name in tensors:
-        if waiting[name] and clock() < ends_at:
+        if waiting[name] and trials < planned:
             attempt(name)
-    while clock() < ends_at:
-        open_tensors = [name for name in tensors if waiting[name]]
-        if not open_tensors or trials >= planned:
-            break
+    while trials < planned and (open_tensors := [name for name in tensors if waiting[name]]):
         loudest = max(open_tensors, key=lambda name: effect[name])
         attempt(loudest)
         effect[loudest] /= 2  # the next one's turn comes, too

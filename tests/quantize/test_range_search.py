@@ -71,8 +71,8 @@ def test_background_does_not_count(prepared, toy_feeds) -> None:
     np.testing.assert_allclose(weights, 1 / (1 + np.exp(-logits.max(axis=1).astype(np.float64))))
 
 
-def test_without_time_it_is_the_best_method(prepared, observation, toy_feeds) -> None:
-    found = search_ranges(prepared, observation, toy_feeds[SEARCHED], time_limit_secs=0)
+def test_without_work_it_is_the_best_method(prepared, observation, toy_feeds) -> None:
+    found = search_ranges(prepared, observation, toy_feeds[SEARCHED], most_multiply_adds=0)
     distance = OutputError(prepared.model, toy_feeds[SEARCHED])
     errors = {method: distance.of(build(prepared, observation, observation.ranges(method)).model) for method in METHODS}
     assert found.trials == len(METHODS)
@@ -95,15 +95,14 @@ def test_ranges_that_are_too_wide_become_narrower(prepared, observation, toy_fee
     }
     worse = dataclasses.replace(observation, tensors=spoiled)
     steps: list[tuple[int, int]] = []
-    ticks = iter(range(10_000))
     found = search_ranges(
         prepared,
         worse,
         toy_feeds[SEARCHED],
-        time_limit_secs=24.5,
+        most_multiply_adds=work_of(prepared, trials=24, frames=len(toy_feeds[SEARCHED])),
         progress=lambda stage, done, total: steps.append((done, total)),
-        clock=lambda: float(next(ticks)),
     )
+    assert found.trials == 24
     start = worse.ranges(found.method)
     assert found.error < found.first_error
     assert sum(found.ranges[name][1] < start[name][1] for name in start) > sum(
@@ -115,10 +114,15 @@ def test_ranges_that_are_too_wide_become_narrower(prepared, observation, toy_fee
     assert after < before
 
 
-def test_it_ends_with_its_time(prepared, observation, toy_feeds) -> None:
-    ticks = iter(range(10_000))
-    found = search_ranges(prepared, observation, toy_feeds[:1], time_limit_secs=5.5, clock=lambda: float(next(ticks)))
+def test_it_ends_with_its_work_and_is_the_same_again(prepared, observation, toy_feeds) -> None:
+    most = work_of(prepared, trials=len(METHODS) + 5, frames=1)
+    found, again = (search_ranges(prepared, observation, toy_feeds[:1], most_multiply_adds=most) for _ in range(2))
     assert found.trials == len(METHODS) + 5
+    assert again == found
+
+
+def work_of(prepared, *, trials: int, frames: int) -> float:
+    return (trials + 0.5) * frames * sum(prepared.products.values())
 
 
 def test_a_search_survives_the_cache() -> None:

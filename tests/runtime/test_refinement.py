@@ -77,6 +77,22 @@ def test_boxes_too_small_or_outside_stay(box: tuple[float, float, float, float])
     np.testing.assert_array_equal(refine_depths(found, left, right, rig()).center_in_camera, found.center_in_camera)
 
 
+@pytest.mark.parametrize("depth_m", [175.0, 176.0, 400.0])
+def test_beyond_two_pixels_of_disparity_depths_stay(depth_m: float) -> None:
+    """Whatever stands there: a box of a far car is not pulled to the nearest depth that could be searched."""
+    left, right = pair(wall(60.0))
+    found = one("Pedestrian", depth_m)
+    np.testing.assert_array_equal(refine_depths(found, left, right, rig()).center_in_camera, found.center_in_camera)
+
+
+@pytest.mark.parametrize("depth_m", [100.0, 150.0])
+def test_near_that_limit_the_search_stays_even(depth_m: float) -> None:
+    """Flat pixels match everywhere: where nothing is seen the network's depth wins, as it does near by."""
+    flat = np.full((SIZE_WH[1], SIZE_WH[0], 3), 90, np.uint8)
+    moved = refine_depths(one("Pedestrian", depth_m), flat, flat, rig())
+    assert moved.center_in_camera[0, 2] == pytest.approx(depth_m, rel=1e-6)
+
+
 @pytest.mark.parametrize("start_m", [13.5, 14.5, 15.0, 16.5])
 def test_a_person_goes_to_the_depth_of_the_pixels(start_m: float) -> None:
     left, right = pair(wall(15.0))
