@@ -57,7 +57,8 @@ def simulate(
     """Write labelled frames (object layout), or one drive at 10 Hz (tracking layout).
 
     Frame ``i`` of a set is made from ``seed + i`` alone: the same seed gives the same frame in any set, with any
-    number of workers. A folder made by the same settings is completed, not started anew.
+    number of workers. Single frames that a folder made by the same settings holds already are kept; a drive is
+    rendered anew.
 
     Args:
         out: folder to make.

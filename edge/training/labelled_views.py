@@ -1,4 +1,4 @@
-"""Labelled frames as a preset's network image sees them, without decoding pictures more than once a size."""
+"""Labelled frames as a preset's network image sees them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The model directory: ``model.onnx``, ``manifest.json``, ``priors.npz`` (docs: DESIGN of the model directory).
+"""The model directory: ``model.onnx``, ``manifest.json``, ``priors.npz`` (docs/architecture.md).
 
 Unknown keys, another schema and wrong hashes are refused with one line. Nothing here executes what a file says:
 JSON and ``.npy`` without pickles are all that is read.
@@ -110,7 +110,7 @@ class NmsPolicy:
 
 @dataclass(frozen=True, slots=True)
 class Thresholds:
-    """Scores below ``evaluate`` are never decoded; ``display`` is for streams and for agreement."""
+    """Least scores where a command names none: ``evaluate`` for AP, ``display`` for streams and agreement."""
 
     evaluate: float = 0.05
     display: float = 0.5

@@ -27,7 +27,7 @@ from runtime.contracts.errors import MissingExtraError
 from runtime.contracts.kitti import parse_labels
 
 FIRST_SEED, FRAMES = 1_000_000, 500
-CONTRACT = 0.20  # DESIGN.md, section 9: each within 20 %
+CONTRACT = 0.20  # a simulated share or count against that of the train labels
 DEPTH_EDGES_M = (-20.0, 10.0, 20.0, 30.0, 40.0, 50.0, 200.0)
 
 
