@@ -2,14 +2,13 @@
 
 By ``coverage`` a bounded pool of frames, spread over the source, is looked at, and those are taken that bring the
 whole pool nearest to a taken one. By ``farthest`` the odd ones come first. By ``spread`` frames lie at equal distances
-in time, whatever they show. A live source gives its first frames, since what passed cannot be had again.
+in time, whatever they show.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
 
 import numpy as np
 
@@ -20,7 +19,6 @@ from calib.frames import (
     ChosenFrame,
     Warn,
     geometry_hash,
-    is_sequence,
     pixel_hash,
     say_nothing,
     spread_indices,
@@ -32,8 +30,6 @@ from runtime.contracts.frame import StereoFrame
 
 METHODS = ("coverage", "farthest", "spread")
 DEFAULT_METHOD = "coverage"
-FIRST = "first"
-"""What records call the choice from a live source."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +51,7 @@ class Choice:
 
 
 def choose(
-    source: Iterable[StereoFrame],
+    source: Sequence[StereoFrame],
     wanted: int,
     *,
     name: str,
@@ -69,7 +65,7 @@ def choose(
     """Chooses calibration frames.
 
     Args:
-        source: An entered source: a sequence, or a live one.
+        source: Entered frames by index.
         wanted: How many frames; fewer where it has fewer.
         name: What the record calls the source.
         method: One of `METHODS`.
@@ -85,19 +81,16 @@ def choose(
     """
     if method not in METHODS:
         raise FormatError(f"--choice: found {method!r}; expected one of {', '.join(METHODS)}; choose one of these")
-    if not is_sequence(source):
-        return _first(source, wanted, name=name, check=check)
-    frames: Sequence[StereoFrame] = source  # type: ignore[assignment]
     if method == "spread":
         taken = []
-        indices = spread_indices(len(frames), wanted)
+        indices = spread_indices(len(source), wanted)
         for place in _time_order(indices):
-            frame = frames[indices[place]]
+            frame = source[indices[place]]
             check(frame)
             taken.append(ChosenFrame(frame.frame_id, indices[place], pixel_hash(frame), geometry_hash(frame)))
-        return Choice(CalibrationSet(name, tuple(taken), len(frames), method), frames)
-    pool = look_at(frames, wanted, check=check, find=find, use_cache=use_cache, progress=progress, warn=warn)
-    return choose_from(pool, frames, wanted, name=name, method=method)
+        return Choice(CalibrationSet(name, tuple(taken), len(source), method), source)
+    pool = look_at(source, wanted, check=check, find=find, use_cache=use_cache, progress=progress, warn=warn)
+    return choose_from(pool, source, wanted, name=name, method=method)
 
 
 def choose_from(pool: Pool, source: Sequence[StereoFrame], wanted: int, *, name: str, method: str) -> Choice:
@@ -124,15 +117,3 @@ def _time_order(indices: Sequence[int]) -> Order:
     """Places of ascending indices in an order whose every first part is spread over time."""
     between = distances(np.array(indices, np.float64)[:, None])
     return farthest_order(between, len(indices))
-
-
-def _first(source: Iterable[StereoFrame], wanted: int, *, name: str, check: Callable[[StereoFrame], object]) -> Choice:
-    """Holds the first frames of a live source."""
-    spread_indices(1, wanted)
-    held, taken = [], []
-    for index, frame in enumerate(islice(iter(source), wanted)):
-        check(frame)
-        held.append(frame)
-        taken.append(ChosenFrame(frame.frame_id, index, pixel_hash(frame), geometry_hash(frame)))
-    spread_indices(len(held), wanted)
-    return Choice(CalibrationSet(name, tuple(taken), None, FIRST), tuple(held))

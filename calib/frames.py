@@ -7,9 +7,8 @@ later run can tell whether it saw the same and whether a measuring source overla
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
 from typing import Any
 
 from numpy.typing import NDArray
@@ -54,14 +53,14 @@ class CalibrationSet:
     Attributes:
         source: what names the source (its URI, without the folders above it where it lies in the package).
         frames: in the order of the choice: the first few of them are the choice of a few.
-        available: how many frames the source had; None for a live one.
-        method: how they were chosen, one of `calib.choice.METHODS`; "first" for a live source.
+        available: how many frames the source had.
+        method: how they were chosen, one of `calib.choice.METHODS`.
         coverage: how well they stand for the source; None where that was not looked at.
     """
 
     source: str
     frames: tuple[ChosenFrame, ...]
-    available: int | None
+    available: int
     method: str
     coverage: Coverage | None = None
 
@@ -112,29 +111,18 @@ def geometry_hash(frame: StereoFrame) -> str:
     return digest.hexdigest()[:SHORT_HASH]
 
 
-def spread_frames(source: Iterable[StereoFrame], wanted: int) -> Iterator[StereoFrame]:
-    """Yields frames of a source, one at a time.
-
-    A file-backed source (a sequence) is sampled over its length; a live one gives its first frames.
+def spread_frames(source: Sequence[StereoFrame], wanted: int) -> Iterator[StereoFrame]:
+    """Yields frames of a source, sampled over its length, one at a time.
 
     Args:
-        source: Where they come from.
+        source: Entered frames by index.
         wanted: How many.
 
     Raises:
         SourceError: no frame.
     """
-    if not is_sequence(source):
-        spread_indices(1, wanted)
-        empty = True
-        for frame in islice(iter(source), wanted):
-            empty = False
-            yield frame
-        if empty:
-            spread_indices(0, wanted)
-        return
-    for index in spread_indices(len(source), wanted):  # type: ignore[arg-type]
-        yield source[index]  # type: ignore[index]
+    for index in spread_indices(len(source), wanted):
+        yield source[index]
 
 
 def frame_feeds(
@@ -182,8 +170,3 @@ def rig_check(
         return view
 
     return view_of
-
-
-def is_sequence(source: object) -> bool:
-    """Whether a source can be indexed: file-backed ones can, live ones cannot."""
-    return hasattr(source, "__getitem__") and hasattr(source, "__len__")

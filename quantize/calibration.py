@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 
@@ -48,7 +48,7 @@ class Calibration:
 
 def choose_frames(
     prepared: Prepared,
-    source: Iterable[StereoFrame],
+    source: Sequence[StereoFrame],
     wanted: int,
     *,
     name: str,
@@ -62,7 +62,7 @@ def choose_frames(
 
     Args:
         prepared: The model.
-        source: Calibration frames.
+        source: Calibration frames by index.
         wanted: How many of them.
         name: What the record calls the source.
         method: One of `calib.choice.METHODS`.
@@ -89,7 +89,7 @@ def choose_frames(
             warn=warn,
         )
     available = choice.chosen.available
-    if available is not None and available < wanted:
+    if available < wanted:
         warn(f"calibration source: {available} frames, {wanted} were wanted; all are used")
     return choice
 
