@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 PERCENTILES = (50.0, 90.0, 99.0)
+KEPT_SAMPLES = 100_000
+"""Frames that percentiles look back over: 0.8 MB a stage, 2.8 hours at 10 Hz."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,21 +28,47 @@ class LatencySummary:
     largest: float
 
 
-class LatencyLog:
-    """Collects milliseconds by stage, in the order in which stages first appear."""
+@dataclass(slots=True)
+class _Stage:
+    """The latest samples of a stage, in a ring, and what is known of all of them."""
 
-    def __init__(self) -> None:
+    latest: array[float] = field(default_factory=lambda: array("d"))
+    count: int = 0
+    largest: float = -np.inf
+
+
+class LatencyLog:
+    """Collects milliseconds by stage, in the order in which stages first appear.
+
+    Memory is bounded, so that a camera may run for weeks: count and largest are of all frames, percentiles of the
+    latest ``kept`` frames alone. A shorter recording's are exact.
+
+    Args:
+        kept: frames that percentiles look back over.
+    """
+
+    def __init__(self, *, kept: int = KEPT_SAMPLES) -> None:
         """Starts empty."""
-        self._samples: dict[str, array[float]] = {}
+        self._kept = kept
+        self._stages: dict[str, _Stage] = {}
 
     def add(self, latency_ms: Mapping[str, float]) -> None:
         """Note one frame's stages."""
-        for stage, value in latency_ms.items():
-            self._samples.setdefault(stage, array("d")).append(value)
+        for name, value in latency_ms.items():
+            stage = self._stages.setdefault(name, _Stage())
+            if len(stage.latest) < self._kept:
+                stage.latest.append(value)
+            else:
+                stage.latest[stage.count % self._kept] = value
+            stage.count += 1
+            stage.largest = max(stage.largest, value)
 
     def summary(self) -> dict[str, LatencySummary]:
-        """Percentiles by stage; empty before the first frame."""
-        return {stage: summarize(samples) for stage, samples in self._samples.items()}
+        """Figures by stage; empty before the first frame."""
+        return {
+            name: replace(summarize(stage.latest), count=stage.count, largest=stage.largest)
+            for name, stage in self._stages.items()
+        }
 
 
 def summarize(samples_ms: array[float] | list[float]) -> LatencySummary:

@@ -18,7 +18,8 @@ class KittiTextSink:
     def __init__(self, folder: Path | str, *, overwrite: bool = False) -> None:
         """Claims the folder."""
         self._folder = claim_folder(Path(folder), overwrite=overwrite)
-        self._written: set[Path] = set()
+        self._older = set(self._folder.rglob("*.txt"))  # of this run only a count: a camera has no last frame
+        self._count = 0
 
     def __enter__(self) -> Self:
         """Returns itself."""
@@ -37,16 +38,18 @@ class KittiTextSink:
         """
         path = self._folder / f"{result.frame.frame_id}.txt"
         try:
+            is_new = path in self._older or not path.exists()
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(format_detections(result.detections), encoding="utf-8")
         except OSError as error:
             raise OutputError(
                 f"{path} cannot be written ({error.strerror}), expected a writable place; choose another"
             ) from error
-        self._written.add(path)
+        self._older.discard(path)
+        self._count += is_new
 
     def summary(self) -> str:
         """What was written where, and whether older files lie beside it."""
-        others = len(set(self._folder.rglob("*.txt")) - self._written)
+        others = len(self._older)
         beside = f" ({others} older text files are beside them)" if others else ""
-        return f"{len(self._written)} KITTI text files in {self._folder}{beside}"
+        return f"{self._count} KITTI text files in {self._folder}{beside}"

@@ -111,6 +111,17 @@ def test_kitti_overwrite_tells_of_older_files(tmp_path: Path) -> None:
     assert (tmp_path / "000001.txt").exists()
 
 
+def test_kitti_text_counts_files_and_keeps_none_in_mind(tmp_path: Path) -> None:
+    for name in ("000001", "000002"):
+        (tmp_path / f"{name}.txt").write_text("", encoding="utf-8")
+    with KittiTextSink(tmp_path, overwrite=True) as sink:
+        for name in ("000002", "000003", "000003", "0010/000004"):  # one older, one twice
+            sink.write(result(two_boxes(), name))
+    assert sink.summary() == f"3 KITTI text files in {tmp_path} (1 older text files are beside them)"
+    held = [value for value in vars(sink).values() if isinstance(value, set | list | dict)]
+    assert held == [{tmp_path / "000001.txt"}]  # what lay there before, not a path for each frame
+
+
 def test_places(tmp_path: Path) -> None:
     assert claim_folder(tmp_path / "a" / "b", overwrite=False).is_dir()
     assert claim_folder(tmp_path / "a" / "b", overwrite=False).is_dir()  # an empty folder is nobody's
