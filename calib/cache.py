@@ -13,6 +13,7 @@ import os
 import tempfile
 import zipfile
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -111,14 +112,20 @@ def store(key: str, observation: Observation, folder: Path | None = None) -> Pat
 
 def write_arrays(target: Path, arrays: Mapping[str, NDArray[Any]]) -> bool:
     """Writes arrays beside their place and renames; forgets the oldest files there; False where it cannot write."""
+    beside: Path | None = None
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=target.parent, suffix=".tmp", delete=False) as stream:
+            beside = Path(stream.name)
             np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
-        Path(stream.name).replace(target)
+        beside.replace(target)
         _forget_oldest(target.parent)
     except OSError:
         return False
+    finally:  # a full disk, or Ctrl-C
+        if beside is not None:
+            with suppress(OSError):
+                beside.unlink(missing_ok=True)
     return True
 
 

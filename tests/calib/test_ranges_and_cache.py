@@ -98,6 +98,16 @@ def test_a_place_that_cannot_be_written_is_no_error(tmp_path: Path) -> None:
     assert store("key", Observation({}, {}, 1), taken) is None
 
 
+def test_a_full_disk_leaves_no_half_file(tmp_path: Path, monkeypatch) -> None:
+    def broken_off(stream, **arrays) -> None:
+        stream.write(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez_compressed", broken_off)
+    assert store("key", Observation({}, {}, 0), tmp_path) is None
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_old_files_are_forgotten(model, feeds, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr("calib.cache._KEPT_FILES", 2)
     seen = observe(model, lambda: feeds, tensors=["y"])
