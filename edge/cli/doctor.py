@@ -16,7 +16,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "oak": ("depthai",),
     "export": ("torch", "onnx", "onnxscript", "onnxsim", "safetensors"),
     "quantize": ("onnx", "onnxsim"),
-    "train": ("torch", "safetensors", "matplotlib"),
+    "train": ("torch", "safetensors", "matplotlib", "tensorboardX"),
     "simulate": ("moderngl", "glcontext"),
     "report": ("matplotlib",),
 }

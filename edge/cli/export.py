@@ -75,9 +75,11 @@ def export_command(
     from export.views import FromPixels
     from runtime.contracts.errors import GoalMissedError
     from runtime.contracts.manifest import file_sha256
+    from runtime.model_folder import check_place
     from runtime.native.library import library_path
     from runtime.sources.factory import open_sequence
 
+    check_place(out)
     console = Console(stderr=True, highlight=False)
     weights = read_checkpoint(checkpoint)
     named = with_rig_of(with_method_of(ablated(find_preset(preset), ablate or []), checkpoint), checkpoint)

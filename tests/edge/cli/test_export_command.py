@@ -173,6 +173,23 @@ def test_wrong_input_is_one_line_and_exit_2(
     assert not list(tmp_path.iterdir())
 
 
+def test_a_taken_place_is_said_before_the_export(
+    run_folder: Path,
+    source: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (tmp_path / "mine.txt").write_text("mine")
+    monkeypatch.setattr(
+        export.to_onnx, "to_onnx", lambda *_, **__: pytest.fail("exported before the place was looked at")
+    )
+    assert export_small(run_folder, tmp_path, source) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1 and "choose another --out" in lines[0]
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+
+
 @pytest.mark.slow
 def test_ablated_weights_need_their_ablations(
     small: Preset, source: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
