@@ -66,16 +66,6 @@ class BudgetResult:
         """Whether the budget holds."""
         return self.best.holds
 
-    @property
-    def front(self) -> tuple[BudgetStep, ...]:
-        """The steps that no other beats in both time and points, fastest first; empty where time is unknown."""
-        front: list[BudgetStep] = []
-        timed = [step for step in self.steps if step.inference_ms is not None]
-        for step in sorted(timed, key=lambda item: (item.inference_ms, item.drop_points)):
-            if not front or step.drop_points < front[-1].drop_points:
-                front.append(step)
-        return tuple(front)
-
 
 def search_budget(
     build: Build | Mapping[str, Build],

@@ -13,7 +13,7 @@ import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file
 
-from edge.detector.official import is_official, is_weight, official_name, our_name
+from edge.detector.official import from_official, is_official, is_weight, official_name
 from runtime.contracts.errors import CheckpointError
 
 _WRAPPERS = ("average", "model_state_dict", "state_dict", "model", "net", "network")
@@ -53,8 +53,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
     plain = {_without_parallel(name): value for name, value in _named_tensors(path).items()}
     if not is_official(plain):
         return Checkpoint(path, plain)
-    weights = {our_name(name): value for name, value in plain.items() if is_weight(name)}
-    return Checkpoint(path, weights, True, tuple(name for name in plain if not is_weight(name)))
+    return Checkpoint(path, from_official(plain), True, tuple(name for name in plain if not is_weight(name)))
 
 
 def _without_parallel(name: str) -> str:

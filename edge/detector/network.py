@@ -58,9 +58,3 @@ class StereoDetector(nn.Module):
         features, stereo = self.features(left, right)
         logits, deltas = self.head(features)
         return logits, deltas, self.disparity_branch(stereo)
-
-
-def inference_parameter_count(detector: StereoDetector) -> int:
-    """Parameters that the exported network holds: all but the disparity branch."""
-    total = sum(parameter.numel() for parameter in detector.parameters())
-    return total - sum(parameter.numel() for parameter in detector.disparity_branch.parameters())

@@ -134,14 +134,6 @@ def test_a_layer_that_the_metric_does_not_need_goes_back_to_int8() -> None:
     assert best.inference_ms == 14.0
 
 
-def test_the_front_holds_what_nothing_beats_in_both() -> None:
-    front = timed_search(2).front
-    found = [step.given_back for step in front]
-    assert found == [(), ("c",), ("a",), ("a", "c"), ("a", "b", "c"), ("a", "b", "c", "d")]
-    assert ("a", "b") in [step.given_back for step in timed_search(2).steps], "slower and worse than a and c"
-    assert [step.drop_points for step in front] == sorted((step.drop_points for step in front), reverse=True)
-
-
 def test_each_step_says_what_it_costs_in_time() -> None:
     lines: list[str] = []
     timed_search(0, lines)

@@ -93,11 +93,6 @@ class Renderer:
         self._context.release()
 
     @property
-    def device_name(self) -> str:
-        """What draws: a GPU's name, or Mesa's software rasteriser."""
-        return str(self._context.info["GL_RENDERER"])
-
-    @property
     def uploaded_mesh_count(self) -> int:
         """How many meshes are held in GPU memory at present."""
         return len(self._cache)
