@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from edge.cli.accuracy_breakdown import broken_down, draw_errors, kinds_of, need_labels, with_breakdowns
+from edge.cli.calibration_overlap import warn_of_calibrated
+from edge.cli.stages import warn
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -39,7 +41,7 @@ def accuracy_command(
         Path | None, typer.Option(help="New folder for pictures of what is missed and invented; of one model.")
     ] = None,
     top: Annotated[int, typer.Option(min=1, help="How many pictures of each.")] = ERROR_PICTURES,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Write into a folder that holds files.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace results that are there.")] = False,
     allow_other_rig: Annotated[
         bool, typer.Option("--allow-other-rig", help="Accept a camera far from those of the training data.")
     ] = False,
@@ -55,7 +57,7 @@ def accuracy_command(
     from edge.report.terminal import progress_bar, report_console, show_table
     from runtime.contracts.errors import OutputError
     from runtime.contracts.manifest import open_model_directory
-    from runtime.sinks.places import claim_folder
+    from runtime.sinks.places import claim_file, claim_folder
     from runtime.sources.base import as_sequence
     from runtime.sources.factory import open_source
 
@@ -69,16 +71,19 @@ def accuracy_command(
     for folder in (out, results, pictures):
         if folder is not None:
             claim_folder(folder, overwrite=overwrite)
+    if json is not None:
+        claim_file(json, overwrite=overwrite)
     with open_source(source) as opened:
         frames = as_sequence(opened)
         if kinds or pictures is not None:
             need_labels(frames, "--by" if kinds else "--pictures")
         if results is not None:  # before the model runs for minutes
             check_frame_names([frames.frame_id(index) for index in range(len(frames))])
+        warn_of_calibrated(models, frames, uri=source)
         assessments: list[Assessment] = []
         for path in models:
             with progress_bar(f"{path}", len(frames)) as step:
-                run = run_model(path, frames, on_frame=step, allow_other_rig=allow_other_rig, warn=_warn)
+                run = run_model(path, frames, on_frame=step, allow_other_rig=allow_other_rig, warn=warn)
             assessments.append(assess(run))
         records = [measurement(item, assessments[0] if index else None) for index, item in enumerate(assessments)]
         splits = [broken_down(item.run, kinds) for item in assessments] if kinds or pictures is not None else []
@@ -106,10 +111,6 @@ def accuracy_command(
         console.print(f"Report, pictures and detections are in {out}.", soft_wrap=True)
     if results is not None:
         console.print(f"Results for the test server are in {results}.", soft_wrap=True)
-
-
-def _warn(text: str) -> None:
-    typer.echo(f"warning: {text}", err=True)
 
 
 def _write_folder(

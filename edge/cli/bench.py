@@ -25,6 +25,7 @@ def bench_command(
     profile: Annotated[bool, typer.Option("--profile", help="Also show the time of each operator.")] = False,
     native: Annotated[bool, typer.Option(help="Use the native correlation library.")] = True,
     json: Annotated[Path | None, typer.Option(help="Write the figures to this file.")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace that file if it is there.")] = False,
     allow_other_rig: Annotated[
         bool, typer.Option("--allow-other-rig", help="Accept a camera far from those of the training data.")
     ] = False,
@@ -37,10 +38,13 @@ def bench_command(
     from edge.samples import measuring_source
     from runtime.bench import bench_models, profile_directory
     from runtime.contracts.manifest import open_model_directory
+    from runtime.sinks.places import claim_file
     from runtime.sources.factory import open_source
 
     for path in models:
         open_model_directory(path)  # a wrong one is said before the first has run for minutes
+    if json is not None:
+        claim_file(json, overwrite=overwrite)
     chosen = source or measuring_source()
     with open_source(chosen) as opened:
         pairs = list(islice(iter(opened), frames))

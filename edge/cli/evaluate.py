@@ -15,6 +15,7 @@ def evaluate_command(
         Path | None, typer.Option(help="Frames to evaluate, one id a line; default: the result files.")
     ] = None,
     json: Annotated[Path | None, typer.Option(help="Write the AP tree to this file.")] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace that file if it is there.")] = False,
 ) -> None:
     """KITTI AP (2D, bird's eye, 3D, orientation; R40 and R11) of result files."""
     from edge.evaluation.kitti_ap import evaluate
@@ -22,7 +23,10 @@ def evaluate_command(
     from edge.report.files import write_json
     from edge.report.rows import ap_table
     from edge.report.terminal import report_console, show_table
+    from runtime.sinks.places import claim_file
 
+    if json is not None:
+        claim_file(json, overwrite=overwrite)
     frames = read_text_frames(labels, detections, split)
     evaluation = evaluate(frames.labels, frames.detections)
     ap = evaluation.ap()
