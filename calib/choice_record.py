@@ -48,8 +48,12 @@ def choice_text(chosen: CalibrationSet) -> str:
     return json.dumps(content, indent=1) + "\n"
 
 
-def parse_choice(text: str) -> CalibrationSet:
+def parse_choice(text: str, *, where: str = CALIBRATION_FILE) -> CalibrationSet:
     """The choice that a file's text tells; keys that it does not know are ignored, missing ones get a neutral value.
+
+    Args:
+        text: Of the file.
+        where: What an error calls it.
 
     Raises:
         FormatError: This is no record of a choice, or it lists no frames.
@@ -62,17 +66,16 @@ def parse_choice(text: str) -> CalibrationSet:
             )
             for item in content["frames"]
         )
-        available = content.get("available")
         return CalibrationSet(
             source=str(content.get("source", "")),
             frames=frames,
-            available=None if available is None else int(available),
+            available=int(content.get("available", 0)),
             method=str(content.get("method", "")),
             coverage=_coverage(content.get("coverage")),
         )
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise FormatError(
-            f"{CALIBRATION_FILE}: found no record of calibration frames ({type(error).__name__}: {error}); expected "
+            f"{where}: found no record of calibration frames ({type(error).__name__}: {error}); expected "
             "what `edge quantize` writes; quantise the model again"
         ) from error
 
@@ -83,11 +86,12 @@ def read_choice(folder: Path) -> CalibrationSet | None:
     Raises:
         FormatError: The file is there and damaged.
     """
+    path = folder / CALIBRATION_FILE
     try:
-        text = (folder / CALIBRATION_FILE).read_text(encoding="utf-8", errors="replace")
+        text = path.read_text(encoding="utf-8", errors="replace")
     except OSError:
         return None
-    return parse_choice(text)
+    return parse_choice(text, where=str(path))
 
 
 def _coverage(content: Any) -> Coverage | None:

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from edge.cli.calibration_overlap import refuse_overlap
 from edge.cli.quantize_checks import PARITY_FRAMES, how_to_repeat, look_at_pixels
 from edge.cli.quantize_curve import curve_counts, write_curve_of
 from edge.cli.quantize_input import check_out, check_validation, wanted_budget
-from edge.cli.quantize_overlap import refuse_overlap
 from edge.cli.quantize_report import report
 from edge.cli.quantize_search import search_in_budget
 from edge.cli.source_names import public_name

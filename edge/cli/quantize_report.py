@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from edge.cli.quantize_overlap import warn_of_overlap
+from edge.cli.calibration_overlap import warn_of_overlap
 from edge.cli.source_names import public_name
 from edge.cli.stages import warn
 

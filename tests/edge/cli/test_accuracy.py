@@ -11,9 +11,12 @@ import cv2
 import numpy as np
 import pytest
 
+from calib.choice_record import CALIBRATION_FILE, choice_text
+from calib.frames import CalibrationSet, ChosenFrame, geometry_hash, pixel_hash
 from edge.cli.main import app
 from edge.evaluation.text_folders import read_text_frames
 from runtime.contracts.kitti import parse_detections
+from runtime.sources.factory import open_sequence
 
 SHIFT_TOLERANCE_M = 1e-4  # float32 head outputs decoded at 20 m
 SHIFT_M = 0.75
@@ -65,6 +68,34 @@ def test_figures_of_two_models(toy_model: Callable[..., Path], source: str, tmp_
     assert points[1] > 0
     low, high = against["interval95"]["Car"]["3d"]["0.7"]["R40"][1]
     assert low <= points[1] <= high
+
+
+def test_frames_that_calibrated_a_model_are_said(
+    toy_model: Callable[..., Path], source: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    with open_sequence(source) as frames:
+        frame = frames[2]
+    calibrated = ChosenFrame("elsewhere/000077", 7, pixel_hash(frame), geometry_hash(frame))
+    strange = ChosenFrame(frame.frame_id, 2, "0" * 16, calibrated.geometry)
+    models = [toy_model("fp32")]
+    for name, chosen in (("int8", calibrated), ("other", strange)):
+        models.append(toy_model(name))
+        text = choice_text(CalibrationSet("kitti-object:elsewhere", (chosen,), 60, "spread"))
+        (models[-1] / CALIBRATION_FILE).write_text(text, encoding="utf-8")
+    assert run("accuracy", *models, "--source", source) == 0
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if "calibrated" in line]
+    assert line.startswith(f"warning: {models[1]}: 1 of the measured frames calibrated, too (the first is 000002)")
+
+
+def test_a_damaged_record_of_calibration_frames_is_one_line(
+    toy_model: Callable[..., Path], source: str, capsys: pytest.CaptureFixture[str]
+):
+    model = toy_model("int8")
+    (model / CALIBRATION_FILE).write_text("{", encoding="utf-8")
+    assert run("accuracy", model, "--source", source) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert f"{model / CALIBRATION_FILE}: found no record" in said
 
 
 def test_a_model_against_itself_loses_nothing(toy_model: Callable[..., Path], source: str, tmp_path: Path):

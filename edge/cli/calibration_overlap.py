@@ -1,7 +1,9 @@
-"""Frames that calibrate must not measure: refused where the user named both, said where the bundled ones are taken."""
+"""Frames that calibrate must not measure: refused where `edge quantize` is told both, else said."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from edge.cli.stages import warn
@@ -41,28 +43,43 @@ def refuse_overlap(chosen: CalibrationSet, validation: str, *, allow: bool) -> N
         _warn_of_neighbours(chosen, source, name=name)
 
 
-def warn_of_overlap(chosen: CalibrationSet, source: Any, *, name: str) -> None:
+def warn_of_calibrated(models: Sequence[Path], source: Any, *, uri: str) -> None:
+    """One line a model that was calibrated, by what its directory says, on frames of an entered source.
+
+    Raises:
+        FormatError: A directory's record of its calibration frames is damaged.
+    """
+    from calib.choice_record import read_choice
+    from edge.cli.source_names import public_name
+
+    for path in models:
+        chosen = read_choice(path)
+        if chosen is not None:
+            warn_of_overlap(chosen, source, name=public_name(uri), tell=lambda line, path=path: warn(f"{path}: {line}"))
+
+
+def warn_of_overlap(chosen: CalibrationSet, source: Any, *, name: str, tell: Callable[[str], None] = warn) -> None:
     """One line where frames of an entered source calibrated, too, or were taken next to some that did."""
     from calib.overlap import overlap
 
     shared = overlap(chosen, source)
     if shared:
-        warn(
+        tell(
             f"{len(shared)} of the measured frames calibrated, too (the first is {shared[0]}): "
             "the figures flatter INT8; measure on other frames"
         )
         return
-    _warn_of_neighbours(chosen, source, name=name)
+    _warn_of_neighbours(chosen, source, name=name, tell=tell)
 
 
-def _warn_of_neighbours(chosen: CalibrationSet, source: Any, *, name: str) -> None:
+def _warn_of_neighbours(chosen: CalibrationSet, source: Any, *, name: str, tell: Callable[[str], None] = warn) -> None:
     from calib.overlap import NEAR_FRAMES, neighbours
 
     if chosen.source.partition("?")[0] != name.partition("?")[0]:
         return  # the same numbers of another recording
     near = neighbours(chosen, (source.frame_id(index) for index in range(len(source))))
     if near:
-        warn(
+        tell(
             f"{len(near)} of the measured frames lie within {NEAR_FRAMES} frames of one that calibrates, in the same "
             f"drive (the first is {near[0]}): the figures may flatter INT8; measure on another drive"
         )
