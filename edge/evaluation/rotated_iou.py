@@ -11,29 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from runtime.contracts.objects import FloatArray
-
-_CORNER_SIGNS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])  # along length, along width
-
-
-def rectangle_corners(rectangles: FloatArray) -> FloatArray:
-    """Corners of rotated rectangles.
-
-    ``x' = x + a cos(yaw) + b sin(yaw)``, ``z' = z - a sin(yaw) + b cos(yaw)`` with a along the length, b
-    along the
-    width: KITTI's yaw turns x towards -z.
-
-    Args:
-        rectangles: (N, 5) x, z, length, width (metres), yaw (radians).
-
-    Returns:
-        (N, 4, 2) x, z in metres.
-    """
-    along = 0.5 * _CORNER_SIGNS[None, :, 0] * rectangles[:, None, 2]
-    across = 0.5 * _CORNER_SIGNS[None, :, 1] * rectangles[:, None, 3]
-    cos, sin = np.cos(rectangles[:, None, 4]), np.sin(rectangles[:, None, 4])
-    corners = np.stack([along * cos + across * sin, -along * sin + across * cos], axis=-1)
-    return corners + rectangles[:, None, :2]
+from runtime.contracts.geometry import FloatArray
+from runtime.contracts.objects import ground_corners
 
 
 def intersection_areas(first: FloatArray, second: FloatArray) -> FloatArray:
@@ -57,7 +36,7 @@ def intersection_areas(first: FloatArray, second: FloatArray) -> FloatArray:
 
 
 def _clamped_areas(first: FloatArray, second: FloatArray) -> FloatArray:
-    offset = rectangle_corners(second) - first[:, None, :2]
+    offset = ground_corners(second[:, :2], second[:, 2:4], second[:, 4]) - first[:, None, :2]
     cos, sin = np.cos(first[:, None, 4]), np.sin(first[:, None, 4])
     along = offset[..., 0] * cos - offset[..., 1] * sin
     across = offset[..., 0] * sin + offset[..., 1] * cos

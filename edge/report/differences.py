@@ -16,7 +16,7 @@ from edge.evaluation.agreement import pair_up
 from runtime.contracts.frame import StereoFrame
 from runtime.contracts.geometry import FloatArray, project_to_image
 from runtime.contracts.objects import Detections3D, box_corners
-from runtime.sinks.bird_eye import BirdEyeView, footprint
+from runtime.sinks.bird_eye import BirdEyeView, footprints
 from runtime.sinks.boxes_in_image import EDGES, NEAR_M
 from runtime.sinks.palette import BACKGROUND, TEXT, Colour
 from runtime.sinks.shapes import draw_line, draw_outline
@@ -147,6 +147,6 @@ def _from_above(frame: StereoFrame, differences: Differences, height: int) -> Im
         (differences.reference, differences.reference_colours, 1),
         (differences.other, differences.other_colours, 2),
     ):
-        for row in range(len(boxes)):
-            draw_outline(panel, view.to_panel(footprint(boxes, row)), colour=colours[row], width=width)
+        for ground_xz, colour in zip(footprints(boxes), colours, strict=True):
+            draw_outline(panel, view.to_panel(ground_xz), colour=colour, width=width)
     return panel

@@ -12,7 +12,7 @@ from edge.training.disparity_targets import grey_of
 from edge.training.object_masks import disparity_at
 from runtime.contracts.frame import StereoFrame
 from runtime.contracts.geometry import FloatArray, StereoGeometry, project_to_image
-from runtime.contracts.objects import Objects3D
+from runtime.contracts.objects import Objects3D, ground_corners
 
 HALF = 2  # the scene is matched at half the size
 SCENE_DISPARITIES, SCENE_BLOCK_PX = 64, 15
@@ -108,13 +108,8 @@ def footprints_apart(footprint: FloatArray, others: list[FloatArray]) -> bool:
 
 def footprint_of(center: FloatArray, size_hwl: FloatArray, yaw_rad: float) -> FloatArray:
     """(4, 2) x and z of a box's corners on the ground, the gap to neighbours added."""
-    half_length, half_width = (size_hwl[2] + GAP_M) / 2, (size_hwl[1] + GAP_M) / 2
-    along = np.array([np.cos(yaw_rad), -np.sin(yaw_rad)]) * half_length
-    across = np.array([np.sin(yaw_rad), np.cos(yaw_rad)]) * half_width
-    middle = center[[0, 2]]
-    return np.stack(
-        [middle + along + across, middle + along - across, middle - along - across, middle - along + across]
-    )
+    (corners,) = ground_corners(center[None, [0, 2]], size_hwl[None, [2, 1]] + GAP_M, np.array([yaw_rad]))
+    return corners
 
 
 def _separated(one: FloatArray, other: FloatArray) -> bool:

@@ -207,3 +207,27 @@ def box_corners(center: FloatArray, size_hwl: FloatArray, yaw_rad: FloatArray) -
     cos, sin = np.cos(yaw_rad)[:, None], np.sin(yaw_rad)[:, None]
     turned = np.stack([z_local * cos + x_local * sin, y_local, -z_local * sin + x_local * cos], axis=-1)
     return turned + center[:, None, :]
+
+
+_GROUND_SIGNS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])  # along length, along width
+
+
+def ground_corners(center_xz: FloatArray, size_lw: FloatArray, yaw_rad: FloatArray) -> FloatArray:
+    """The four corners of each box seen from above: front left, front right, rear right, rear left.
+
+    ``x' = x + a cos(yaw) + b sin(yaw)``, ``z' = z - a sin(yaw) + b cos(yaw)`` with a along the length, b along the
+    width: KITTI's yaw turns x towards -z.
+
+    Args:
+        center_xz: (N, 2) metres.
+        size_lw: (N, 2) metres, length and width.
+        yaw_rad: (N,) radians.
+
+    Returns:
+        (N, 4, 2) x and z in metres in the camera frame.
+    """
+    along = 0.5 * _GROUND_SIGNS[None, :, 0] * size_lw[:, None, 0]
+    across = 0.5 * _GROUND_SIGNS[None, :, 1] * size_lw[:, None, 1]
+    cos, sin = np.cos(yaw_rad)[:, None], np.sin(yaw_rad)[:, None]
+    turned = np.stack([along * cos + across * sin, -along * sin + across * cos], axis=-1)
+    return turned + center_xz[:, None, :]

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.contracts.geometry import FloatArray, StereoGeometry
-from runtime.contracts.objects import Detections3D, Objects3D
+from runtime.contracts.objects import Detections3D, Objects3D, ground_corners
 from runtime.sinks.palette import (
     BACKGROUND,
     DIM_TEXT,
@@ -45,12 +45,11 @@ class BirdEyeView:
         if self._ground is None or self._ground[0] is not geometry:
             self._ground = (geometry, self._draw_ground(geometry))
         panel = self._ground[1].copy()
-        for row in range(len(detections)):
-            colour = class_colour(detections.class_names[detections.class_id[row]])
-            self._draw_object(panel, footprint(detections, row), colour)
+        for class_id, ground_xz in zip(detections.class_id, footprints(detections), strict=True):
+            self._draw_object(panel, ground_xz, class_colour(detections.class_names[class_id]))
         if labels is not None:
-            for row in range(len(labels)):
-                draw_outline(panel, self.to_panel(footprint(labels, row)), colour=LABEL)
+            for ground_xz in footprints(labels):
+                draw_outline(panel, self.to_panel(ground_xz), colour=LABEL)
         return panel
 
     def to_panel(self, ground_xz: FloatArray) -> FloatArray:
@@ -124,16 +123,6 @@ class BirdEyeView:
         fill_polygon(panel, self.to_panel(screen), colour=BACKGROUND)
 
 
-def footprint(boxes: Detections3D | Objects3D, row: int) -> FloatArray:
-    """Ground corners (4, 2) in metres, x and z: front left, front right, rear right, rear left.
-
-    The object's length points along ``(cos yaw, -sin yaw)`` in x and z, its width along ``(sin yaw, cos
-    yaw)``.
-    """
-    yaw = boxes.yaw_rad[row]
-    along = 0.5 * boxes.size_hwl[row, 2] * np.array([np.cos(yaw), -np.sin(yaw)])
-    across = 0.5 * boxes.size_hwl[row, 1] * np.array([np.sin(yaw), np.cos(yaw)])
-    middle = boxes.center_in_camera[row, [0, 2]]
-    return np.stack(
-        [middle + along + across, middle + along - across, middle - along - across, middle - along + across]
-    )
+def footprints(boxes: Detections3D | Objects3D) -> FloatArray:
+    """Ground corners of each box as `ground_corners` gives them, (N, 4, 2) in metres."""
+    return ground_corners(boxes.center_in_camera[:, [0, 2]], boxes.size_hwl[:, [2, 1]], boxes.yaw_rad)

@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely.geometry import Polygon
 
-from edge.evaluation.rotated_iou import intersection_areas, rectangle_corners, rotated_iou
+from edge.evaluation.rotated_iou import intersection_areas, rotated_iou
+from runtime.contracts.objects import ground_corners
 
 EXACT_TOLERANCE = 1e-12  # of values up to 1: a few dozen float64 roundings
 AREA_TOLERANCE = 1e-9  # of areas up to 400 square metres, shapely's own rounding included
@@ -66,7 +67,7 @@ def test_recorded_exact_values(golden_dir: Path):
 @given(first=rectangle, second=rectangle)
 def test_area_equals_shapely(first: tuple[float, ...], second: tuple[float, ...]):
     pair = np.array([first, second])
-    polygons = [Polygon(corners) for corners in rectangle_corners(pair)]
+    polygons = [Polygon(corners) for corners in ground_corners(pair[:, :2], pair[:, 2:4], pair[:, 4])]
     expected = polygons[0].intersection(polygons[1]).area
     assert intersection_areas(pair[:1], pair[1:])[0] == pytest.approx(expected, abs=AREA_TOLERANCE)
 

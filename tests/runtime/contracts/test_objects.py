@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from runtime.contracts.errors import FormatError, FrameError
 from runtime.contracts.frame import StereoFrame
 from runtime.contracts.geometry import StereoGeometry, back_project, project_to_image
-from runtime.contracts.objects import Detections3D, Objects3D, box_corners, wrap_angle_rad
+from runtime.contracts.objects import Detections3D, Objects3D, box_corners, ground_corners, wrap_angle_rad
 
 P2 = np.array([[721.5377, 0, 609.5593, 44.85728], [0, 721.5377, 172.854, 0.2163791], [0, 0, 1, 0.002745884]])
 P3 = np.array([[721.5377, 0, 609.5593, -339.5242], [0, 721.5377, 172.854, 2.199936], [0, 0, 1, 0.002729905]])
@@ -123,3 +123,15 @@ def test_recorded_corners(golden_dir: Path) -> None:
     state = recorded["proj_xyz_state"]
     ours = box_corners(state[:, :3], state[:, [4, 3, 5]], recorded["proj_theta"])
     np.testing.assert_allclose(ours, recorded["proj_corners"], atol=CORNER_TOLERANCE_M)
+
+
+def test_no_box_has_no_ground_corners() -> None:
+    assert ground_corners(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)).shape == (0, 4, 2)
+
+
+@given(st.floats(-30, 30), st.floats(1, 90), st.floats(-7, 7))
+def test_ground_corners_are_those_of_the_box_in_order(x: float, z: float, yaw: float) -> None:
+    center, size_hwl, yaw_rad = np.array([[x, 1.0, z]]), np.array([[1.5, 1.8, 4.2]]), np.array([yaw])
+    found = ground_corners(center[:, [0, 2]], size_hwl[:, [2, 1]], yaw_rad)
+    corners = box_corners(center, size_hwl, yaw_rad)[:, :, [0, 2]]
+    np.testing.assert_allclose(found, corners[:, [4, 5, 0, 1]], atol=CORNER_TOLERANCE_M)

@@ -15,7 +15,7 @@ from runtime.contracts.geometry import StereoGeometry, project_to_image
 from runtime.contracts.kitti import KITTI_CLASSES
 from runtime.contracts.objects import Detections3D, Objects3D, box_corners
 from runtime.sinks.base import FrameResult
-from runtime.sinks.bird_eye import BirdEyeView, footprint
+from runtime.sinks.bird_eye import BirdEyeView, footprints
 from runtime.sinks.boxes_in_image import EDGES, FACES, FRONT, draw_boxes
 from runtime.sinks.canvas import CODEC_OF_SUFFIX, OverlaySink, PictureFolder, VideoFile
 from runtime.sinks.overlay import OverlayRenderer, camera_size
@@ -128,7 +128,7 @@ def test_crowded_tags_leave_out_rather_than_cover() -> None:
 def test_footprint_equals_the_ground_corners_of_the_box() -> None:
     detections = boxes((2.0, 1.0, 20.0, 0.7))
     corners = box_corners(detections.center_in_camera, detections.size_hwl, detections.yaw_rad)[0]
-    ground = footprint(detections, 0)
+    (ground,) = footprints(detections)
     for corner in ground:
         assert np.abs(corners[:, [0, 2]] - corner).sum(axis=1).min() < 1e-9
     front = corners[list(FRONT)][:, [0, 2]].mean(axis=0)
