@@ -136,7 +136,7 @@ def train_command(
     from edge.training.run_record import RunSettings, check_same_run, write_settings
     from edge.training.samples import SampleMaker
     from edge.training.schedule import schedule_kind
-    from edge.training.start import check_device, open_run, run_priors, run_steps
+    from edge.training.start import check_device, keep_priors, open_run, run_priors, run_steps
     from edge.training.stream import MixedFrames
     from edge.training.validation import Validation
     from runtime.contracts.errors import CheckpointError, EdgeError
@@ -206,9 +206,6 @@ def train_command(
         )
         if resume:
             check_same_run(out, chosen, settings)
-        wait_for_all(ranks)
-        if ranks.writes:
-            write_settings(out, chosen, settings, dict(zip(dataset, weights, strict=True)))
         metadata = {
             "preset": chosen.name,
             "method": method or "preset",
@@ -228,6 +225,10 @@ def train_command(
                 first_step=first_step,
                 ranks=ranks,
             )
+        wait_for_all(ranks)
+        if ranks.writes:  # from here on the folder is a run's
+            write_settings(out, chosen, settings, dict(zip(dataset, weights, strict=True)))
+            keep_priors(out)
         with TrainProgress(settings, samples=frames.epoch_length, shown=ranks.writes) as progress:
             average = train(
                 detector,

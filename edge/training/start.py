@@ -12,13 +12,14 @@ from edge.detector.presets import Preset
 from edge.training.checkpoint import CHECKPOINT_FILE, load_checkpoint
 from edge.training.labelled_views import labelled_views
 from edge.training.priors import anchor_statistics
+from edge.training.run_record import SETTINGS_FILE
 from edge.training.schedule import steps_of
 from edge.zoo.priors import bundled_priors
 from runtime.contracts.errors import CheckpointError, EdgeError, OutputError
 from runtime.contracts.manifest import AnchorPriors, file_sha256, read_priors, write_priors
 from runtime.sources.base import FrameSequence
 
-PRIORS_FILE = "priors.npz"
+PRIORS_FILE, UNKEPT_PRIORS_FILE = "priors.npz", "priors.npz.part"
 DEFAULT_STEPS = 10000
 
 
@@ -35,41 +36,68 @@ def check_device(device: str) -> None:
 
 
 def open_run(out: Path, *, resume: bool) -> int:
-    """Make the run's folder, or look into it.
+    """Make the run's folder, or look into it. What a start that failed left there is taken away by a new run.
 
     Returns:
         The step that the run goes on from.
 
     Raises:
-        OutputError: the folder holds something and the run is new.
+        OutputError: the folder holds something and the run is new, or it cannot be made.
         CheckpointError: ``resume`` without a checkpoint.
     """
-    if out.exists() and any(out.iterdir()) and not resume:
-        raise OutputError(f"{out} is not empty, expected a new run directory; choose another --out or add --resume")
-    out.mkdir(parents=True, exist_ok=True)
-    return int(load_checkpoint(out / CHECKPOINT_FILE)["step"]) if resume else 0
+    if resume:
+        return int(load_checkpoint(out / CHECKPOINT_FILE)["step"])
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(
+            f"{out} cannot be made ({error.strerror}), expected a place for a run directory; choose another --out"
+        ) from None
+    found = {item.name for item in out.iterdir()}
+    if not found <= _left_by_a_failed_start(found):
+        remedy = "choose another --out" + (" or add --resume" if CHECKPOINT_FILE in found else "")
+        raise OutputError(f"{out} is not empty, expected a new run directory; {remedy}")
+    for name in found:
+        (out / name).unlink()
+    return 0
+
+
+def _left_by_a_failed_start(found: set[str]) -> set[str]:
+    """What a run may begin anew over; ``priors.npz`` alone may be somebody's own, beside ``run.json`` it is a run's."""
+    return {UNKEPT_PRIORS_FILE, SETTINGS_FILE, *([PRIORS_FILE] if SETTINGS_FILE in found else [])}
 
 
 def run_priors(out: Path, preset: Preset, sources: Sequence[FrameSequence], *, given: Path | None) -> AnchorPriors:
     """The run's anchor priors: those in its folder, the given ones, the bundled ones, or the datasets' labels'.
 
-    Presets paper and mono come with the statistics of KITTI's train split, see `edge.zoo.priors`.
+    Presets paper and mono come with the statistics of KITTI's train split, see `edge.zoo.priors`. New ones lie in the
+    folder as ``priors.npz.part`` until `keep_priors`, so that a start that fails leaves nothing that looks like a run.
 
     Raises:
         CheckpointError: the given ones are not those that the run began with.
+        ManifestError: the given ones do not fit the preset.
     """
     file = out / PRIORS_FILE
     if given is not None and file.exists() and file_sha256(given) != file_sha256(file):
         raise CheckpointError(f"{given} are not the priors of the run in {out}, expected the same; leave --priors out")
     given = bundled_priors(preset) if given is None else given
     if not file.exists():
+        file = out / UNKEPT_PRIORS_FILE
+    if not file.exists():
         if given is not None:
+            read_priors(given, preset.classes, preset.anchors)
             shutil.copyfile(given, file)
         else:
             views = (view for source in sources for view in labelled_views(source, preset))
             tables = anchor_statistics(views, preset.classes, preset.anchors, input_size_hw=preset.input_size_hw)
             write_priors(file, preset.classes, tables)
     return read_priors(file, preset.classes, preset.anchors)
+
+
+def keep_priors(out: Path) -> None:
+    """Give the run's priors their name: all else that a run needs is there."""
+    if (out / UNKEPT_PRIORS_FILE).exists():
+        (out / UNKEPT_PRIORS_FILE).replace(out / PRIORS_FILE)
 
 
 def run_steps(preset: Preset, *, steps: int | None, epochs: int | None, epoch_samples: int, batch_size: int) -> int:

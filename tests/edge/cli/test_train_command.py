@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import dataclasses
 import json
+import shutil
 from pathlib import Path
 
 import cv2
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 import typer
 
+from runtime.contracts.errors import OutputError
 from runtime.contracts.geometry import StereoGeometry
 from runtime.contracts.kitti import format_calib
 from runtime.contracts.manifest import AnchorPriors, write_priors
@@ -22,6 +24,7 @@ from edge.cli.main import app  # noqa: E402
 from edge.detector.network import StereoDetector  # noqa: E402
 from edge.detector.presets import PRESETS, HeadShape, NeckShape, NetworkShape, Preset  # noqa: E402
 from edge.detector.weights import load_weights  # noqa: E402
+from edge.training.start import open_run  # noqa: E402
 
 pytestmark = pytest.mark.torch
 
@@ -159,3 +162,56 @@ def test_a_folder_that_holds_something_is_left_alone(
     assert train(drive, tmp_path, "--steps", 1) == 2
     assert "is not empty" in capsys.readouterr().err
     assert (tmp_path / "kept").read_text() == "mine" and not (tmp_path / "checkpoint.pt").exists()
+
+
+def test_the_corrected_command_starts_where_a_start_failed(
+    drive: str, tiny: Preset, priors: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, bare, malformed = tmp_path / "run", tmp_path / "bare", tmp_path / "malformed.npz"
+    shutil.copytree(tmp_path / "drive", bare)
+    shutil.rmtree(bare / "training" / "label_2")
+    malformed.write_bytes(priors.read_bytes()[:100])
+    shape = (len(tiny.classes), tiny.anchors.scale_count, len(tiny.anchors.ratios), 6)
+    write_priors(tmp_path / "other.npz", tiny.classes, AnchorPriors(np.ones(shape, "f4"), np.ones(shape, "f4")))
+    given = ["--priors", tmp_path / "other.npz"]
+    for wrong, word in (
+        (["--priors", malformed], "malformed.npz"),
+        ([*given, "--backbone", tmp_path / "none.pth"], "none.pth"),
+        ([*given, "--start", tmp_path / "none.pt"], "none.pt"),
+        ([*given, "--steps", 1, "--epochs", 1], "leave one out"),
+        ([*given, "--steps", 1, "--validation", f"kitti-object:{bare}"], "no labelled frame"),
+    ):
+        assert train(drive, out, *wrong) == 2
+        assert word in capsys.readouterr().err
+        assert {path.name for path in out.iterdir()} <= {"priors.npz.part"}
+    assert train(f"kitti-object:{bare}", out, *given, "--steps", 1) == 2
+    assert "hold no labelled frame" in capsys.readouterr().err
+    assert train(drive, out, "--priors", priors, "--steps", 1) == 0
+    assert (out / "priors.npz").read_bytes() == priors.read_bytes()
+    assert not (out / "priors.npz.part").exists()
+
+
+def test_what_may_be_begun_anew_and_what_may_not(tmp_path: Path) -> None:
+    for names, free in (
+        ((), True),
+        (("priors.npz.part",), True),
+        (("priors.npz", "run.json"), True),  # stopped before the first step
+        (("priors.npz",), False),  # of `edge priors`, perhaps
+        (("priors.npz", "run.json", "log.csv"), False),
+        (("run.json", "mine"), False),
+    ):
+        out = tmp_path / "-".join(("run", *names))
+        out.mkdir()
+        for name in names:
+            (out / name).write_text("x")
+        if free:
+            assert open_run(out, resume=False) == 0
+        else:
+            with pytest.raises(OutputError, match=r"choose another --out$"):  # --resume would not help
+                open_run(out, resume=False)
+        assert {path.name for path in out.iterdir()} == (set() if free else set(names))
+    (tmp_path / "checkpoint.pt").touch()
+    with pytest.raises(OutputError, match="add --resume"):
+        open_run(tmp_path, resume=False)
+    with pytest.raises(OutputError, match="cannot be made"):
+        open_run(tmp_path / "checkpoint.pt" / "run", resume=False)

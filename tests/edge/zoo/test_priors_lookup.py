@@ -132,10 +132,11 @@ def test_bundled_tables_are_the_train_labels(kitti_dir: Path, tmp_path: Path) ->
 @pytest.mark.parametrize("name", BUNDLED)
 def test_a_run_takes_the_bundled_table_where_none_is_given(tmp_path: Path, name: str) -> None:
     pytest.importorskip("torch", reason="the torch workbench is not installed")
-    from edge.training.start import run_priors
+    from edge.training.start import keep_priors, run_priors
 
     found = run_priors(tmp_path, PRESETS[name], [], given=None)
     expected = find_priors(PRESETS[name], tmp_path / "elsewhere" / "weights.pth", None)
     np.testing.assert_array_equal(found.mean, expected.mean)
-    assert (tmp_path / "priors.npz").is_file()  # the run keeps them beside its weights
+    keep_priors(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["priors.npz"]  # the run keeps them beside its weights
     np.testing.assert_array_equal(run_priors(tmp_path, PRESETS[name], [], given=None).std, expected.std)
