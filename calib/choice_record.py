@@ -15,8 +15,8 @@ from calib.coverage import Coverage
 from calib.frames import CalibrationSet, ChosenFrame
 from calib.scene_features import METHOD
 from runtime.contracts.errors import FormatError
+from runtime.model_folder import CALIBRATION_FILE
 
-CALIBRATION_FILE = "calibration.json"
 SCHEMA = 1
 
 

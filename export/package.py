@@ -19,9 +19,8 @@ from runtime.contracts.manifest import (
     format_manifest,
     write_priors,
 )
-from runtime.model_folder import replaced_directory
+from runtime.model_folder import CARD_FILE, replaced_directory
 
-CARD_FILE = "card.md"
 _TOOLS = ("torch", "onnx", "onnxscript", "onnxsim", "onnxruntime", "numpy")
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import onnx
 
-from calib.choice_record import CALIBRATION_FILE, choice_text
+from calib.choice_record import choice_text
 from quantize.calibration import Calibration
 from quantize.errors import QuantizeError
 from quantize.prepare import Prepared
@@ -27,9 +27,8 @@ from runtime.contracts.manifest import (
     format_manifest,
     open_model_directory,
 )
-from runtime.model_folder import replaced_directory
+from runtime.model_folder import CALIBRATION_FILE, CARD_FILE, replaced_directory
 
-CARD_FILE = "card.md"
 _TOOLS = ("onnx", "onnxruntime", "numpy")
 
 

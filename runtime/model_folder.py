@@ -1,4 +1,4 @@
-"""Places a model directory: written beside its place, then renamed, so that a half-written one is never seen."""
+"""The files of a model directory, written beside its place, then renamed, so that a half-written one is never seen."""
 
 from __future__ import annotations
 
@@ -12,9 +12,14 @@ from pathlib import Path
 from runtime.contracts.errors import EdgeError, OutputError
 from runtime.contracts.manifest import MANIFEST_FILE, MODEL_FILE, PRIORS_FILE, parse_manifest
 
+CARD_FILE = "card.md"
+CALIBRATION_FILE = "calibration.json"
+REPORT_TEXT, REPORT_RECORD = "report.md", "report.json"
+CURVE_RECORD, CURVE_PLOT = "curve.json", "curve.png"
+BUDGET_PLOT, RANGES_PLOT = "budget.png", "ranges.png"
 WRITTEN_FILES = (
-    *(MODEL_FILE, MANIFEST_FILE, PRIORS_FILE),
-    *("card.md", "report.md", "report.json", "calibration.json", "curve.json", "curve.png", "budget.png", "ranges.png"),
+    *(MODEL_FILE, MANIFEST_FILE, PRIORS_FILE, CARD_FILE, CALIBRATION_FILE),
+    *(REPORT_TEXT, REPORT_RECORD, CURVE_RECORD, CURVE_PLOT, BUDGET_PLOT, RANGES_PLOT),
 )
 """What a model directory may hold and still be replaced by a newer one."""
 REPORT_PICTURES, PICTURE_SUFFIX = "report-pictures", ".jpg"

@@ -145,7 +145,8 @@ def _coverage_facts(found: Calibration) -> dict[str, str]:
 
 def _budget_plot(folder: Path, rows: Sequence[Any], budget: float) -> None:
     """The picture of the search, where matplotlib is there to draw it; the table says the same."""
-    from edge.report.pareto import BUDGET_PLOT, write_budget_plot
+    from edge.report.pareto import write_budget_plot
+    from runtime.model_folder import BUDGET_PLOT
 
     try:
         write_budget_plot(folder / BUDGET_PLOT, rows, max_drop=budget)

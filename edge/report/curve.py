@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from edge.report.files import write_json
+from runtime.model_folder import CURVE_PLOT, CURVE_RECORD
 
-CURVE_RECORD, CURVE_PLOT = "curve.json", "curve.png"
 _SIZE_INCHES, _DOTS_PER_INCH = (8.0, 3.6), 110
 
 

@@ -14,10 +14,9 @@ from edge.report.changes import changes_of, changes_table, write_pictures
 from edge.report.document import depth_table
 from edge.report.histograms import RangePlot, write_range_plots
 from edge.report.rows import Table
-from runtime.model_folder import REPORT_PICTURES
+from runtime.model_folder import RANGES_PLOT, REPORT_PICTURES
 from runtime.sources.base import FrameSequence
 
-RANGES_PICTURE = "ranges.png"
 PICTURES = 6
 
 
@@ -71,8 +70,8 @@ def collect_evidence(
     pictures = [(caption, path) for _, caption, path in drawn]
     if plots:
         try:
-            write_range_plots(folder / RANGES_PICTURE, plots)
-            pictures.append(("Values of the noisiest layers; red: the range that 8 bits cover", RANGES_PICTURE))
+            write_range_plots(folder / RANGES_PLOT, plots)
+            pictures.append(("Values of the noisiest layers; red: the range that 8 bits cover", RANGES_PLOT))
         except ImportError:
             record["ranges_picture"] = "left out: matplotlib is missing"
     return Evidence(tuple(tables), tuple(pictures), record)

@@ -10,8 +10,7 @@ from edge.report.document import report_text
 from edge.report.files import write_json, write_text
 from edge.report.records import report_record
 from runtime.contracts.measurement import Measurement
-
-REPORT_TEXT, REPORT_RECORD = "report.md", "report.json"
+from runtime.model_folder import REPORT_RECORD, REPORT_TEXT
 
 
 def write_model_report(

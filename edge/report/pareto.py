@@ -7,7 +7,6 @@ from pathlib import Path
 
 from edge.report.quantisation import BudgetRow
 
-BUDGET_PLOT = "budget.png"
 _SIZE_INCHES, _DOTS_PER_INCH = (6.0, 4.0), 110
 
 

@@ -11,12 +11,12 @@ from edge.report.document import report_text
 from edge.report.evidence import Evidence
 from edge.report.files import write_json, write_text
 from edge.report.markdown import markdown_table
-from edge.report.model_report import REPORT_RECORD, REPORT_TEXT
 from edge.report.parity import ParityRecord, parity_table
 from edge.report.records import report_record
 from edge.report.repeat import RepeatRecord, repeat_text
 from edge.report.rows import NO_VALUE, Table
 from runtime.contracts.measurement import Measurement
+from runtime.model_folder import REPORT_RECORD, REPORT_TEXT
 from runtime.peak_memory import PeakMemory
 
 LAYERS_SHOWN = 15

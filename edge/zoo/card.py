@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from runtime.contracts.manifest import Manifest
-
-CARD_BESIDE_WEIGHTS = "card.md"
+from runtime.model_folder import CARD_FILE
 
 
 def model_card(manifest: Manifest, checkpoint: Path, *, parity: str) -> str:
@@ -19,7 +18,7 @@ def model_card(manifest: Manifest, checkpoint: Path, *, parity: str) -> str:
     """
     height, width = manifest.input_size_hw
     views = "a rectified stereo pair" if manifest.views == 2 else "one image"
-    beside = checkpoint.parent / CARD_BESIDE_WEIGHTS
+    beside = checkpoint.parent / CARD_FILE
     origin = (
         beside.read_text(encoding="utf-8").strip()
         if beside.is_file()

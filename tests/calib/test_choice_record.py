@@ -6,11 +6,11 @@ import json
 
 import pytest
 
-from calib.choice_record import CALIBRATION_FILE, choice_text, parse_choice, read_choice
+from calib.choice_record import choice_text, parse_choice, read_choice
 from calib.coverage import Coverage
 from calib.frames import CalibrationSet, ChosenFrame
 from runtime.contracts.errors import FormatError
-from runtime.model_folder import WRITTEN_FILES
+from runtime.model_folder import CALIBRATION_FILE
 
 CHOSEN = CalibrationSet(
     source="kitti-object:object?split=train",
@@ -53,4 +53,3 @@ def test_a_directory_may_have_none(tmp_path) -> None:
     assert read_choice(tmp_path) is None
     (tmp_path / CALIBRATION_FILE).write_text(choice_text(CHOSEN), encoding="utf-8")
     assert read_choice(tmp_path) == CHOSEN
-    assert CALIBRATION_FILE in WRITTEN_FILES

@@ -11,11 +11,12 @@ import cv2
 import numpy as np
 import pytest
 
-from calib.choice_record import CALIBRATION_FILE, choice_text
+from calib.choice_record import choice_text
 from calib.frames import CalibrationSet, ChosenFrame, geometry_hash, pixel_hash
 from edge.cli.main import app
 from edge.evaluation.text_folders import read_text_frames
 from runtime.contracts.kitti import parse_detections
+from runtime.model_folder import CALIBRATION_FILE
 from runtime.sources.factory import open_sequence
 
 SHIFT_TOLERANCE_M = 1e-4  # float32 head outputs decoded at 20 m
