@@ -19,6 +19,7 @@ import numpy as np
 
 from runtime.contracts.errors import SessionError, SourceError
 from runtime.contracts.frame import StereoFrame
+from runtime.contracts.manifest import open_model_directory
 from runtime.detector import STAGES, Detector, open_detector
 from runtime.preprocess import network_view, prepare
 from runtime.profile import NodeTime, profile_model
@@ -136,10 +137,10 @@ def profile_directory(
     Raises:
         EdgeError: As `bench_models`.
     """
-    with open_detector(path, threads=threads, use_native=use_native) as detector:
-        manifest, model_path = detector.manifest, detector.directory.model_path
+    directory = open_model_directory(path)
+    manifest = directory.manifest
     feeds = [prepare(frame, network_view(frame.geometry, manifest), manifest) for frame in frames]
-    return profile_model(model_path, feeds, threads=threads, use_native=use_native)
+    return profile_model(directory.model_path, feeds, threads=threads, use_native=use_native)
 
 
 def spread(samples_ms: Sequence[float]) -> Spread:
