@@ -16,10 +16,10 @@ from edge.training.run_record import SETTINGS_FILE
 from edge.training.schedule import steps_of
 from edge.zoo.priors import bundled_priors
 from runtime.contracts.errors import CheckpointError, EdgeError, OutputError
-from runtime.contracts.manifest import AnchorPriors, file_sha256, read_priors, write_priors
+from runtime.contracts.manifest import PRIORS_FILE, AnchorPriors, file_sha256, read_priors, write_priors
 from runtime.sources.base import FrameSequence
 
-PRIORS_FILE, UNKEPT_PRIORS_FILE = "priors.npz", "priors.npz.part"
+UNKEPT_PRIORS_FILE = f"{PRIORS_FILE}.part"
 DEFAULT_STEPS = 10000
 
 
