@@ -45,12 +45,13 @@ MAKEFLAGS += --no-print-directory
 ##   clean      remove environments, builds and caches; OUT stays
 ## Variables
 ##   PRESET     compact (default) or paper
-##   CHECKPOINT weights to export; default: the bundled ones of PRESET.  PRIORS: theirs, if not beside them
+##   CHECKPOINT weights to export; default: the bundled ones, which only compact has.  PRIORS: theirs, if not beside
 ##   KITTI      folder of the KITTI object data set; its train frames calibrate, its val frames measure
 ##   SOURCE     frames to look at, a source URI; default: KITTI's val frames, else the bundled demo drive
 ##   MODEL      model directory, for accuracy and bench also several
 ##   OUT        folder of the results, default out
-##   FRAMES, STEPS, DEVICE   of train: 2000, 10000, cpu.  PYTHON: the interpreter to make environments with
+##   FRAMES, STEPS, DEVICE   of train: 2000 (a larger one adds to what is there), 10000, cpu
+##   PYTHON     the interpreter to make environments with
 help:
 	@echo "make TARGET [VARIABLE=value ...]"
 	@sed -n 's/^## \{0,1\}//p' $(firstword $(MAKEFILE_LIST))
@@ -94,7 +95,8 @@ bench: $(SLIM)/ready
 	@$(SLIM)/bin/python -m runtime.native.build
 	$(SLIM)/bin/edge bench $(or $(MODEL),$(wildcard $(FLOAT_MODEL) $(INT8_MODEL)),$(DEMO_MODEL)) --source "$(SOURCE)"
 
-train: setup $(SIMULATED)/ImageSets/train.txt
+train: setup
+	$(VENV)/bin/edge simulate $(SIMULATED) --frames $(FRAMES)
 	$(VENV)/bin/edge train --preset $(PRESET) --dataset "kitti-object:$(SIMULATED)?split=train" \
 	  $(if $(KITTI),--dataset "kitti-object:$(KITTI)?split=train") \
 	  --steps $(STEPS) --device $(DEVICE) --out $(RUN) $(if $(wildcard $(RUN)/checkpoint.pt),--resume)
@@ -110,9 +112,6 @@ $(FLOAT_MODEL)/manifest.json: $(wildcard $(CHECKPOINT) $(PRIORS))
 
 $(INT8_MODEL)/manifest.json: $(FLOAT_MODEL)/manifest.json
 	@$(MAKE) quantize
-
-$(SIMULATED)/ImageSets/train.txt: | $(VENV)/ready
-	$(VENV)/bin/edge simulate $(SIMULATED) --frames $(FRAMES)
 
 # Environments; the stamp is written last, so a broken-off installation is taken up again.
 $(VENV)/ready: pyproject.toml setup.py constraints.txt

@@ -136,6 +136,14 @@ def test_kitti_calibrates_on_its_train_and_measures_on_its_val_frames() -> None:
     assert '--source "kitti-object:K?split=val"' in planned
 
 
+def test_training_completes_the_simulated_set_that_is_there(tmp_path: Path) -> None:
+    lists = tmp_path / "simulated" / "ImageSets"
+    lists.mkdir(parents=True)
+    (lists / "train.txt").write_text("000000\n", encoding="utf-8")
+    planned = make("--dry-run", "train", f"OUT={tmp_path}", "FRAMES=7").stdout
+    assert f"edge simulate {tmp_path}/simulated --frames 7" in planned
+
+
 def test_a_missing_interpreter_is_one_line() -> None:
     ran = make("PYTHON=no-such-python", "SLIM=no-such-folder", "no-such-folder/ready")
     assert ran.returncode != 0

@@ -56,4 +56,5 @@ def simulate_command(
         )  # fmt: skip
     finally:
         bar.stop()
-    console.print(f"{count} labelled pairs in {out}", highlight=False)
+    more = "" if sequence or count <= frames else f", more than --frames {frames}: those that were there stay listed"
+    console.print(f"{count} labelled pairs in {out}{more}", highlight=False, soft_wrap=True)

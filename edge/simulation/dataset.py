@@ -113,14 +113,33 @@ class ObjectFolder:
     image_format: str
     quality: int
 
-    def prepare(self, geometry: StereoGeometry, frames: int) -> None:
-        """Make the folders, the rig and the lists."""
+    def prepare(self, geometry: StereoGeometry, frames: int) -> int:
+        """Make the folders, the rig and the lists.
+
+        Args:
+            geometry: of the rig.
+            frames: of the set. Complete frames beyond them that it lists already stay listed.
+
+        Returns:
+            How many frames the lists name.
+        """
         for name in ("image_2", "image_3", "calib", "label_2"):
             (self.root / "training" / name).mkdir(parents=True, exist_ok=True)
         (self.root / "ImageSets").mkdir(exist_ok=True)
         _write_text(self.root / RIG_NAME, format_geometry(geometry))
+        earlier = self._listed()
+        indices = [*range(frames), *(index for index in earlier if index >= frames and self.has(index))]
         for split in SPLIT_NAMES:
-            _write_text(self.root / "ImageSets" / f"{split}.txt", "".join(f"{index:06d}\n" for index in range(frames)))
+            path = self.root / "ImageSets" / f"{split}.txt"
+            if indices != earlier or not path.is_file():  # else the user may have shortened one
+                _write_text(path, "".join(f"{index:06d}\n" for index in indices))
+        return len(indices)
+
+    def _listed(self) -> list[int]:
+        """Frames that an earlier run named."""
+        path = self.root / "ImageSets" / f"{SPLIT_NAMES[0]}.txt"
+        words = path.read_text(encoding="utf-8").split() if path.is_file() else []
+        return sorted({int(word) for word in words if word.isdecimal()})
 
     def has(self, index: int) -> bool:
         """Whether a frame is complete (its label is written last)."""

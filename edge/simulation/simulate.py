@@ -57,8 +57,8 @@ def simulate(
     """Write labelled frames (object layout), or one drive at 10 Hz (tracking layout).
 
     Frame ``i`` of a set is made from ``seed + i`` alone: the same seed gives the same frame in any set, with any
-    number of workers. Single frames that a folder made by the same settings holds already are kept; a drive is
-    rendered anew.
+    number of workers. Single frames that a folder made by the same settings holds already are kept, and listed even
+    where there are more than ``frames``; a drive is rendered anew.
 
     Args:
         out: folder to make.
@@ -116,22 +116,22 @@ def simulate(
     claim_folder(out, record)
     job = _Job(out, record, geometry)
     report = progress or (lambda done, total: None)
-    if sequence:
-        _write_drive(job, count, workers=workers, report=report)
-    else:
-        _write_frames(job, count, workers=workers, report=report)
+    if not sequence:
+        return _write_frames(job, count, workers=workers, report=report)
+    _write_drive(job, count, workers=workers, report=report)
     return count
 
 
-def _write_frames(job: _Job, count: int, *, workers: int, report: Progress) -> None:
+def _write_frames(job: _Job, count: int, *, workers: int, report: Progress) -> int:
     folder = ObjectFolder(job.out, job.record.image_format, job.record.quality)
-    folder.prepare(job.geometry, count)
+    listed = folder.prepare(job.geometry, count)
     missing = [index for index in range(count) if not folder.has(index)]
     done = count - len(missing)
     report(done, count)
     for _ in _run(job, missing, workers=workers):
         done += 1
         report(done, count)
+    return listed
 
 
 def _write_drive(job: _Job, count: int, *, workers: int, report: Progress) -> None:

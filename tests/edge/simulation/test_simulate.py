@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from edge.cli.main import app
+from edge.simulation.dataset import ObjectFolder
 from edge.simulation.drafts import Mix
 from edge.simulation.render.renderer import Renderer
 from edge.simulation.rig import cameras, kitti_rig, load_rig, oak_d_rig
@@ -163,6 +167,33 @@ def test_an_interrupted_set_is_completed_and_other_settings_are_refused(
     assert (out / "training" / "image_2" / "000000.jpg").stat().st_mtime_ns == written
     with pytest.raises(OutputError, match="other settings"):
         simulate(out, frames=2, seed=60_000, rig=small_rig, workers=1)
+
+
+def test_a_smaller_count_does_not_shorten_the_lists_of_a_set(tmp_path: Path, small_rig: str) -> None:
+    out, lists = tmp_path / "set", tmp_path / "set" / "ImageSets"
+    geometry = load_rig(small_rig)
+    folder = ObjectFolder(out, "jpg", 92)
+    assert folder.prepare(geometry, 4) == 4  # the fourth frame is never drawn here
+    for index in range(3):
+        (out / "training" / "label_2" / f"{index:06d}.txt").write_text("")
+    assert folder.prepare(geometry, 2) == 3
+    for split in ("all", "train", "val"):
+        assert (lists / f"{split}.txt").read_text().split() == ["000000", "000001", "000002"]
+    (lists / "train.txt").write_text("000001\n")  # a user's choice
+    assert folder.prepare(geometry, 3) == 3
+    assert (lists / "train.txt").read_text() == "000001\n"
+    assert folder.prepare(geometry, 5) == 5
+    assert len((lists / "train.txt").read_text().split()) == 5
+
+
+def test_the_command_says_that_a_set_has_more_frames(tmp_path: Path, small_rig: str, frames_folder: Path) -> None:
+    out = tmp_path / "set"
+    shutil.copytree(frames_folder, out)
+    words = ["simulate", str(out), "--rig", small_rig, "--seed", "50000", "--frames", "2"]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 0, result.output
+    assert f"3 labelled pairs in {out}, more than --frames 2" in result.stderr
+    assert (out / "ImageSets" / "train.txt").read_text().split() == ["000000", "000001", "000002"]
 
 
 def test_tracking_layout(small_rig: str, egl: None, tmp_path: Path) -> None:
