@@ -213,3 +213,19 @@ def test_needs_no_workbench_package() -> None:
     code = "import sys, runtime.session; print({'torch', 'onnx', 'cv2'} & set(sys.modules))"
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert ran.stdout.strip() == "set()"
+
+
+def test_products_of_bytes_do_not_saturate() -> None:
+    """Two products of 255 and 127 exceed 16 bits: processors without 8-bit dot products would cut them off."""
+    pixels, weights = np.full((64, 128), 255, np.uint8), np.full((128, 64), 127, np.int8)
+    graph = onnx.helper.make_graph(
+        [onnx.helper.make_node("MatMulInteger", ["pixels", "weights"], ["sums"])],
+        "sums",
+        [onnx.helper.make_tensor_value_info("pixels", onnx.TensorProto.UINT8, pixels.shape)],
+        [onnx.helper.make_tensor_value_info("sums", onnx.TensorProto.INT32, (64, 64))],
+        [onnx.numpy_helper.from_array(weights, "weights")],
+    )
+    model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 18)], ir_version=10)
+    with open_session(model.SerializeToString()) as session:
+        (sums,) = session.run({"pixels": pixels})
+    np.testing.assert_array_equal(sums, pixels.astype(np.int32) @ weights.astype(np.int32))
