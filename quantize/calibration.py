@@ -23,6 +23,7 @@ from calib.ranges import Observation, Progress, no_progress, observe
 from quantize.bias_correction import Shifts, bias_shifts
 from quantize.equalise import equalisable, equalise
 from quantize.prepare import Prepared
+from quantize.qdq import Levels
 from quantize.static import build
 from runtime.contracts.frame import StereoFrame
 
@@ -193,6 +194,7 @@ def corrections(
     ranges: Mapping[str, Range],
     choice: Choice,
     *,
+    levels: Levels | None = None,
     use_cache: bool = True,
     allow_other_rig: bool = False,
     progress: Progress = no_progress,
@@ -204,13 +206,14 @@ def corrections(
         calibration: Of its whole placement.
         ranges: Of its tensors, those that the build will use.
         choice: Of `choose_frames`; its first few frames are run, since means settle soon.
+        levels: Of the weights, that the build will use (`quantize.rounding`).
         use_cache: Look for, and keep, the result in the user's cache folder.
         allow_other_rig: Accept cameras far from those of the training data.
         progress: Told after every frame.
     """
     if not prepared.recipe.bias_correction:
         return {}
-    graph = build(prepared, calibration.observation, ranges)
+    graph = build(prepared, calibration.observation, ranges, levels=levels)
     few = calibration.frames.first(CORRECTION_FRAMES)
     key = run_key(prepared, graph.model, few, tensors=("bias shifts", str(CORRECTION_FRAMES)))
     seen = load(key) if use_cache else None

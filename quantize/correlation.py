@@ -10,6 +10,9 @@ product, here of integers, and the volume is the band beside its diagonal. The r
 column x. To read a band as a rectangle, the rows of length L = W + D - 1 are laid end to end, W zeros are
 appended, and the whole is cut into W rows of L + 1: row x has moved x columns to the left, and its first D
 columns are the disparities D - 1 .. 0.
+
+The right view is turned into unsigned bytes first, int8 levels and their zero point lifted by 128: processors without
+8-bit dot products add two products in 16 bits where the second operand is signed, and these saturate.
 """
 
 from __future__ import annotations
@@ -41,11 +44,24 @@ _BODY = """
     row_shape = Concat <axis: int = 0> (batch, height, minus_one)
     skewed_shape = Concat <axis: int = 0> (batch, height, width, skewed_width)
 
+    one_step = Constant <value_float: float = 1.0> ()
+    beyond_all = Constant <value_float: float = 1000.0> ()
+    top = QuantizeLinear (beyond_all, one_step, right_zero_point)
+    top_real = Cast <to: int = 1> (top)
+    largest_byte = Constant <value_float: float = 255.0> ()
+    lift = Sub (largest_byte, top_real)
+    right_real = Cast <to: int = 1> (right)
+    right_lifted = Add (right_real, lift)
+    right_bytes = Cast <to: int = 2> (right_lifted)
+    right_zero_real = Cast <to: int = 1> (right_zero_point)
+    right_zero_lifted = Add (right_zero_real, lift)
+    right_zero_byte = Cast <to: int = 2> (right_zero_lifted)
+
     before = Concat <axis: int = 0> (zero, zero, zero, largest, zero, zero, zero, zero)
-    right_padded = Pad (right, before, right_zero_point)
+    right_padded = Pad (right_bytes, before, right_zero_byte)
     left_columns = Transpose <perm: ints = [0, 2, 3, 1]> (left)
     right_rows = Transpose <perm: ints = [0, 2, 1, 3]> (right_padded)
-    all_pairs = MatMulInteger (left_columns, right_rows, left_zero_point, right_zero_point)
+    all_pairs = MatMulInteger (left_columns, right_rows, left_zero_point, right_zero_byte)
 
     end_to_end = Reshape (all_pairs, row_shape)
     behind = Concat <axis: int = 0> (zero, zero, zero, zero, zero, width)
@@ -65,7 +81,6 @@ _BODY = """
 
     real = Cast <to: int = 1> (sums)
     steps = Mul (real, multiplier)
-    one_step = Constant <value_float: float = 1.0> ()
     volume = QuantizeLinear (steps, one_step, output_zero_point)
 }}
 """

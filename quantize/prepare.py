@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Collection
 from dataclasses import dataclass
 
@@ -70,11 +69,6 @@ def prepare_model(directory: ModelDirectory, recipe: Recipe) -> Prepared:
             "one or more; export the model again"
         )
     return Prepared(directory, recipe, model, placement, tensor_shapes(model), note)
-
-
-def with_bias_correction(prepared: Prepared, corrects: bool) -> Prepared:
-    """The same model with its recipe's bias correction on or off."""
-    return dataclasses.replace(prepared, recipe=dataclasses.replace(prepared.recipe, bias_correction=corrects))
 
 
 def int8_share(prepared: Prepared, given_back: Collection[str] = ()) -> float:

@@ -45,6 +45,8 @@ from runtime.contracts.correlation import (
     STEREO_CORRELATION,
 )
 
+Levels = Mapping[str, NDArray[np.int8]]
+"""Convolution -> the levels of its weights, in their shape."""
 ChannelExtremes = Mapping[str, tuple[NDArray[np.float32], NDArray[np.float32]]]
 _PRODUCER = "edge quantize"
 _MIDDLE = {"uint8": 128, "int8": 0}
@@ -71,6 +73,7 @@ def quantise_graph(
     ranges: Mapping[str, Range],
     channels: ChannelExtremes,
     shifts: Mapping[str, NDArray[np.float64]] | None = None,
+    levels: Levels | None = None,
 ) -> QuantisedGraph:
     """Writes the INT8 graph.
 
@@ -81,11 +84,12 @@ def quantise_graph(
         ranges: (low, high) by tensor, at least of ``placement.observed`` or their roots in a wider placement.
         channels: (C,) minima and maxima, at least of ``placement.observed_channels``.
         shifts: (M,) added to the bias of a convolution, by its name; those of float ones are not used.
+        levels: Of a convolution's weights, by its name (`quantize.rounding`); the nearest ones where not given.
 
     Raises:
         QuantizeError: A range is missing or unusable.
     """
-    return _Writer(model, placement, recipe, ranges, channels, shifts or {}).write()
+    return _Writer(model, placement, recipe, ranges, channels, shifts or {}, levels or {}).write()
 
 
 class _Writer:
@@ -99,9 +103,11 @@ class _Writer:
         ranges: Mapping[str, Range],
         channels: ChannelExtremes,
         shifts: Mapping[str, NDArray[np.float64]],
+        levels: Levels,
     ) -> None:
         self._model, self._placement, self._recipe = model, placement, recipe
         self._ranges, self._channels, self._shifts = ranges, channels, shifts
+        self._rounded = levels
         self._index = GraphIndex(model)
         self._nodes: list[onnx.NodeProto] = []
         self._constants: dict[str, NDArray[Any]] = {}
@@ -244,9 +250,8 @@ class _Writer:
         result = self._placement.exact_outputs[node.name]
         params = self._settle_params(node.input[0])
         weight, bias = self._weight_and_bias(node)
-        scales = weight_scales(weight, bits=self._recipe.weight_bits, per_channel=self._recipe.weight_per_channel)
-        scales = np.broadcast_to(scales, weight.shape[0])
-        levels = quantize_weight(weight, scales, bits=self._recipe.weight_bits)
+        scales = self._weight_scales(weight)
+        levels = self._weight_levels(node, weight, scales)
         _, zero_point = self._params_as_constants(node.input[0])
         combined = (params.scale * scales.astype(np.float64)).astype(np.float32)
         matrix = self._constant(f"{node.name}.matrix_q", np.ascontiguousarray(levels.reshape(len(levels), -1).T))
@@ -270,6 +275,21 @@ class _Writer:
         total = np.zeros(weight.shape[0]) if bias is None else bias.astype(np.float64)
         return weight, total + self._shifts.get(node.name, 0.0)
 
+    def _weight_scales(self, weight: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(M,) what a level of each output channel's weights stands for."""
+        scales = weight_scales(weight, bits=self._recipe.weight_bits, per_channel=self._recipe.weight_per_channel)
+        return np.broadcast_to(scales, weight.shape[0])
+
+    def _weight_levels(
+        self, node: onnx.NodeProto, weight: NDArray[np.float32], scales: NDArray[np.float32]
+    ) -> NDArray[np.int8]:
+        """The given levels, but for channels whose scale is another than these were made for."""
+        nearest = quantize_weight(weight, scales, bits=self._recipe.weight_bits)
+        if node.name not in self._rounded:
+            return nearest
+        same = (scales == self._weight_scales(weight)).reshape(-1, *[1] * (weight.ndim - 1))
+        return np.where(same, self._rounded[node.name], nearest)
+
     def _quantise_weights(
         self,
         node: onnx.NodeProto,
@@ -288,10 +308,8 @@ class _Writer:
         """
         weight, total = self._weight_and_bias(node)
         total = total if shift is None else total + shift
-        scales = weight_scales(weight, bits=self._recipe.weight_bits, per_channel=self._recipe.weight_per_channel)
-        scales = np.broadcast_to(scales, weight.shape[0])
-        scales = scales_that_hold_bias(scales, total, input_scale)
-        levels = quantize_weight(weight, scales, bits=self._recipe.weight_bits)
+        scales = scales_that_hold_bias(self._weight_scales(weight), total, input_scale)
+        levels = self._weight_levels(node, weight, scales)
         if output_steps is not None:
             scales = (scales / output_steps).astype(np.float32)
             total = total / output_steps

@@ -75,6 +75,11 @@ def activation_params(
     return QuantParams(float(scale), zero_point, dtype)
 
 
+def largest_level(bits: int) -> int:
+    """Of a symmetric weight: 127 of 8 bits, 63 of 7."""
+    return int(2 ** (bits - 1) - 1)
+
+
 def weight_scales(weight: NDArray[np.float32], *, bits: int, per_channel: bool) -> NDArray[np.float32]:
     """Symmetric scales of a weight: (M,) by output channel (axis 0), or () for the whole.
 
@@ -83,7 +88,7 @@ def weight_scales(weight: NDArray[np.float32], *, bits: int, per_channel: bool) 
         bits: 8 (levels -127 .. 127) or 7 (-63 .. 63).
         per_channel: One scale an output channel.
     """
-    largest = 2 ** (bits - 1) - 1
+    largest = largest_level(bits)
     axes = tuple(range(1, weight.ndim)) if per_channel else None
     peaks = np.abs(weight).max(axis=axes)
     return np.asarray(np.maximum(peaks.astype(np.float64) / largest, SMALLEST_SCALE), np.float32)
@@ -91,7 +96,7 @@ def weight_scales(weight: NDArray[np.float32], *, bits: int, per_channel: bool) 
 
 def quantize_weight(weight: NDArray[np.float32], scales: NDArray[np.float32], *, bits: int) -> NDArray[np.int8]:
     """Nearest level, round half to even."""
-    largest = 2 ** (bits - 1) - 1
+    largest = largest_level(bits)
     shape = (-1, *[1] * (weight.ndim - 1)) if scales.ndim else ()
     levels = np.rint(weight.astype(np.float64) / scales.astype(np.float64).reshape(shape))
     return np.clip(levels, -largest, largest).astype(np.int8)

@@ -41,6 +41,7 @@ class Recipe:
         flatten_volumes: compute 3D convolutions as 2D ones, where the runtime's 8-bit kernel for three dimensions is
             slow (`quantize.volumes`).
         equalise: bring the channels of a tensor to like ranges, where their factors pass on.
+        output_rounding: round weights so that sums stay right, not each to its nearest level (`quantize.rounding`).
         bias_correction: take the mean error of each channel out of the biases.
         verified: ``measured`` on such a machine, or ``structure`` only.
     """
@@ -60,6 +61,7 @@ class Recipe:
     integer_moves: bool
     flatten_volumes: bool
     equalise: bool
+    output_rounding: bool
     bias_correction: bool
     verified: str
 
@@ -140,6 +142,7 @@ _SWITCHES = (
     "integer_moves",
     "flatten_volumes",
     "equalise",
+    "output_rounding",
     "bias_correction",
 )
 _ALLOWED: dict[str, tuple[Any, ...]] = {

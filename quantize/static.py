@@ -14,7 +14,7 @@ from calib.ranges import Observation
 from quantize.bias_correction import Shifts
 from quantize.placement import place
 from quantize.prepare import Prepared
-from quantize.qdq import QuantisedGraph, quantise_graph
+from quantize.qdq import Levels, QuantisedGraph, quantise_graph
 
 
 def build(
@@ -24,6 +24,7 @@ def build(
     *,
     given_back: Collection[str] = (),
     shifts: Shifts | None = None,
+    levels: Levels | None = None,
 ) -> QuantisedGraph:
     """Writes the INT8 graph.
 
@@ -32,11 +33,18 @@ def build(
         observation: Of its whole placement.
         ranges: ``observation.ranges(method)``, made once for many builds.
         given_back: Names of nodes that stay float.
-        shifts: What biases take in addition (`corrections`); None for nothing.
+        shifts: What biases take in addition (`quantize.bias_correction`); None for nothing.
+        levels: Of the weights (`quantize.rounding`); None for the nearest ones.
     """
     placement = place(prepared.model, prepared.recipe, given_back) if given_back else prepared.placement
     # A tensor can be a root only since the move that made it was given back: it had its root's range before.
     known = {name: ranges[prepared.placement.root_of.get(name, name)] for name in placement.observed}
     return quantise_graph(
-        prepared.model, placement, prepared.recipe, ranges=known, channels=observation.channels, shifts=shifts
+        prepared.model,
+        placement,
+        prepared.recipe,
+        ranges=known,
+        channels=observation.channels,
+        shifts=shifts,
+        levels=levels,
     )

@@ -19,7 +19,7 @@ from edge.cli.source_names import public_name
 from edge.cli.stages import say, stage_progress, warn
 
 if TYPE_CHECKING:
-    from quantize.bias_correction import Shifts
+    from quantize.adjustments import Adjustments
     from runtime.contracts.manifest import ModelDirectory
 
 DEFAULT_FRAMES = 100
@@ -86,8 +86,9 @@ def quantize_command(
 
     from edge.report.terminal import report_console, show_table
     from edge.samples import calibration_source
-    from quantize.calibration import calibrate, choose_frames, corrections, equalised
-    from quantize.prepare import prepare_model, with_bias_correction
+    from quantize.adjustments import adjust, variants
+    from quantize.calibration import calibrate, choose_frames, equalised
+    from quantize.prepare import prepare_model
     from quantize.range_search import settled_ranges
     from quantize.recipe import detect_target, recipe_for_target
     from quantize.static import build
@@ -146,12 +147,12 @@ def quantize_command(
             progress=progress,
         )
         ranges = settled.ranges
-        correcting = [prepared.recipe.bias_correction]
-        if budget is not None:  # what costs nothing at run time is tried before any layer goes back to float
-            correcting.append(not prepared.recipe.bias_correction)
-        shifts_by_way = {
-            f"{settled.name} ranges{', biases corrected' * corrects}": corrections(
-                with_bias_correction(prepared, corrects),
+        ways = variants(prepared)
+        if budget is None:
+            ways = dict(list(ways.items())[:1])
+        adjustments = {  # what costs nothing at run time is tried before any layer goes back to float
+            f"{settled.name} ranges, {name}": adjust(
+                variant,
                 found,
                 ranges,
                 chosen,
@@ -159,22 +160,29 @@ def quantize_command(
                 allow_other_rig=allow_other_rig,
                 progress=progress,
             )
-            for corrects in correcting
+            for name, variant in ways.items()
         }
         looked_at = list(chosen.frames(PARITY_FRAMES))
 
-    def write(shifts: Shifts, place: Path, given_back: Sequence[str]) -> ModelDirectory:
-        graph = build(prepared, found.observation, ranges, given_back=given_back, shifts=shifts)
+    def write(adjusted: Adjustments, place: Path, given_back: Sequence[str]) -> ModelDirectory:
+        graph = build(
+            prepared,
+            found.observation,
+            ranges,
+            given_back=given_back,
+            shifts=adjusted.shifts,
+            levels=adjusted.levels,
+        )
         return write_directory(prepared, graph, found, place, method=settled.name, given_back=given_back)
 
     search = None
     given_back: tuple[str, ...] = ()
-    way = next(iter(shifts_by_way))
+    way = next(iter(adjustments))
     if budget is not None and validation is not None:
         search = search_in_budget(
             prepared,
             found,
-            {name: partial(write, some) for name, some in shifts_by_way.items()},
+            {name: partial(write, some) for name, some in adjustments.items()},
             out=out,
             validation=validation,
             max_drop=budget,
@@ -183,8 +191,7 @@ def quantize_command(
             allow_other_rig=allow_other_rig,
         )
         given_back, way = search.best.given_back, search.best.way
-    shifts = shifts_by_way[way]
-    written = write(shifts, out, given_back)
+    written = write(adjustments[way], out, given_back)
     parity = look_at_pixels(prepared, written, looked_at)
     tables = report(
         prepared,
@@ -192,7 +199,7 @@ def quantize_command(
         written,
         given_back=given_back,
         ranges=ranges,
-        shifts=shifts,
+        adjusted=adjustments[way],
         method=way,
         validation=validation,
         search=search,

@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from edge.cli.quantize_report import REPORT_FRAMES
 from edge.cli.source_names import public_name
 from edge.cli.stages import say, stage_progress, warn
 
 if TYPE_CHECKING:
-    from calib.choice import Choice
     from calib.ranges import Progress
     from edge.report.curve import CurvePoint
-    from quantize.calibration import Calibration
     from quantize.prepare import Prepared
     from runtime.contracts.measurement import Measurement
 
@@ -70,11 +68,12 @@ def write_curve_of(
     """
     import tempfile
 
-    from calib.choice import choose_from
+    from calib.choice import Choice, choose_from
     from edge.evaluation.measure import assess, measurement
     from edge.evaluation.run import run_model
     from edge.report.curve import write_curve
     from edge.samples import measuring_source
+    from quantize.adjustments import adjust
     from quantize.prefixes import looked_at, observe_first
     from quantize.static import build
     from quantize.write import write_directory
@@ -101,8 +100,15 @@ def write_curve_of(
             for done, (count, calibrated) in enumerate(sorted(seen.items())):
                 ranges = calibrated.observation.ranges(method)
                 few = choose_from(pool, frames, count, name=public_name(calibration), method=way)
-                shifts = _shifts(prepared, calibrated, ranges, whole, count, allow_other_rig=allow_other_rig)
-                graph = build(prepared, calibrated.observation, ranges, shifts=shifts)
+                adjusted = adjust(
+                    prepared,
+                    calibrated,
+                    ranges,
+                    Choice(whole.chosen.first(count), whole.source),
+                    use_cache=False,
+                    allow_other_rig=allow_other_rig,
+                )
+                graph = build(prepared, calibrated.observation, ranges, shifts=adjusted.shifts, levels=adjusted.levels)
                 written = write_directory(prepared, graph, calibrated, Path(made) / f"{way}-{count}", method=method)
                 run = run_model(written.path, source, allow_other_rig=allow_other_rig)
                 coverage = 0.0 if few.chosen.coverage is None else few.chosen.coverage.score
@@ -124,16 +130,6 @@ def write_curve_of(
 
 def _named(progress: Progress, way: str) -> Progress:
     return lambda stage, done, total: progress(f"{stage}, {way}", done, total)
-
-
-def _shifts(
-    prepared: Prepared, calibrated: Calibration, ranges: Any, whole: Choice, count: int, *, allow_other_rig: bool
-) -> Any:
-    from calib.choice import Choice
-    from quantize.calibration import corrections
-
-    few = Choice(whole.chosen.first(count), whole.source)
-    return corrections(prepared, calibrated, ranges, few, use_cache=False, allow_other_rig=allow_other_rig)
 
 
 def _point(way: str, count: int, coverage: float, before: Measurement, after: Measurement) -> CurvePoint:

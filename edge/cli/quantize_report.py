@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from calib.methods import Range
     from edge.report.parity import ParityRecord
     from edge.report.repeat import RepeatRecord
-    from quantize.bias_correction import Shifts
+    from quantize.adjustments import Adjustments
     from quantize.budget import BudgetResult
     from quantize.calibration import Calibration
     from quantize.prepare import Prepared
@@ -35,7 +35,7 @@ def report(
     *,
     given_back: Sequence[str],
     ranges: Mapping[str, Range],
-    shifts: Shifts,
+    adjusted: Adjustments,
     method: str,
     validation: str | None,
     search: BudgetResult | None,
@@ -96,7 +96,14 @@ def report(
                 warn_of_overlap(found.frames, source, name=name)
             pairs = list(spread_frames(source, TIMED_FRAMES))
             feeds = list(frame_feeds(pairs[:NOISE_FRAMES], manifest, allow_other_rig=allow_other_rig))
-            graph = build(prepared, found.observation, ranges, given_back=given_back, shifts=shifts)
+            graph = build(
+                prepared,
+                found.observation,
+                ranges,
+                given_back=given_back,
+                shifts=adjusted.shifts,
+                levels=adjusted.levels,
+            )
             layers = layer_noise(prepared, graph, lambda: feeds)
             paths = [prepared.source.path, written.path]
             runs, measurements = _measure(paths, source, allow_other_rig=allow_other_rig)

@@ -40,4 +40,5 @@ def test_a_row_says_what_the_recipe_does(target: str) -> None:
     ]
     assert recipe.weight_per_channel
     assert recipe.equalise
+    assert recipe.output_rounding
     assert not recipe.bias_correction

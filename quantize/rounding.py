@@ -1,0 +1,221 @@
+"""Rounding that looks at the outputs: each weight goes up or down so that a convolution's sums stay right.
+
+To the nearest level is best for one weight alone. A convolution sums many products of inputs that are related
+(neighbouring pixels, channels that fire together), so the error of one weight can be made good by another: what
+AdaRound learns by gradient descent (Nagel et al., Up or Down?, 2020), and what Optimal Brain Surgeon has in closed form
+(Hassibi and Stork, 1993; Frantar et al., GPTQ, 2022): weights are rounded one after the other, and what is not yet
+rounded takes on, by the inverse of the inputs' second moments, what the error so far did to the output. The inputs' own
+rounding counts as noise that is related to nothing. An output channel for which this is no better than the nearest
+levels keeps those. Costs nothing at run time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+
+import numpy as np
+import onnx
+from numpy.typing import NDArray
+
+from calib.cache import load, store
+from calib.choice import Choice
+from calib.frames import frame_feeds
+from calib.methods import Range
+from calib.ranges import Feeds, Observation, Progress, no_progress
+from quantize.calibration import CORRECTION_FRAMES, Calibration, run_key, tensor_bytes
+from quantize.graph import GraphIndex, attribute
+from quantize.prepare import Prepared
+from quantize.qdq import Levels
+from quantize.qparams import activation_params, largest_level, quantize_weight, weight_scales
+from quantize.static import build
+from quantize.window_moments import MomentBlock, window_moments
+
+_DAMPING = 0.01
+"""Of the mean moment, added to each: a sample of windows knows rare directions badly."""
+_AT_ONCE = 128
+"""Columns after which the error so far is spread on all that follow."""
+_STAGE = "rounding weights"
+
+
+def roundings(
+    prepared: Prepared,
+    calibration: Calibration,
+    ranges: Mapping[str, Range],
+    choice: Choice,
+    *,
+    use_cache: bool = True,
+    allow_other_rig: bool = False,
+    progress: Progress = no_progress,
+) -> Levels:
+    """Levels of the weights by what the first few calibration frames show; none where the recipe keeps the nearest.
+
+    Args:
+        prepared: The float model.
+        calibration: Of its whole placement.
+        ranges: Of its tensors, those that the build will use.
+        choice: The calibration frames, their source still entered.
+        use_cache: Look for, and keep, the result in the user's cache folder.
+        allow_other_rig: Accept cameras far from those of the training data.
+        progress: Told after every frame and every convolution.
+    """
+    if not prepared.recipe.output_rounding:
+        return {}
+    nearest = build(prepared, calibration.observation, ranges).model
+    few = calibration.frames.first(CORRECTION_FRAMES)
+    key = run_key(prepared, nearest, few, tensors=("rounded weights", str(CORRECTION_FRAMES)))
+    seen = load(key) if use_cache else None
+    if seen is not None:
+        return {name: levels for name, (levels, _) in seen.channels.items()}
+    found = rounded_weights(
+        prepared,
+        ranges,
+        lambda: frame_feeds(
+            choice.frames(CORRECTION_FRAMES), prepared.source.manifest, allow_other_rig=allow_other_rig
+        ),
+        bytes_of=tensor_bytes(prepared),
+        frame_count=len(few.frames),
+        progress=progress,
+    )
+    if use_cache:
+        store(key, Observation({}, {name: (levels, levels[:0]) for name, levels in found.items()}, CORRECTION_FRAMES))
+    return found
+
+
+def rounded_weights(
+    prepared: Prepared,
+    ranges: Mapping[str, Range],
+    feeds: Callable[[], Iterable[Feeds]],
+    *,
+    bytes_of: Mapping[str, int] | None = None,
+    frame_count: int = 0,
+    progress: Progress = no_progress,
+) -> dict[str, NDArray[np.int8]]:
+    """Levels of the weights of all 2D convolutions in 8 bits; others are left to the nearest level.
+
+    Args:
+        prepared: The float model and its placement.
+        ranges: Of its tensors, those that the build will use.
+        feeds: Starts an iteration over the calibration frames' feeds.
+        bytes_of: Size of each tensor of the graph.
+        frame_count: How many frames to expect, for progress alone.
+        progress: Told after every frame and every convolution.
+
+    Raises:
+        QuantizeError: There are no frames.
+    """
+    index, recipe = GraphIndex(prepared.model), prepared.recipe
+    nodes = _two_dimensional(prepared, index)
+    weights = {node.name: _weight(index, node) for node in nodes}
+    blocks = window_moments(
+        prepared.model,
+        nodes,
+        {name: weight.shape for name, weight in weights.items()},
+        feeds,
+        bytes_of=bytes_of,
+        frame_count=frame_count,
+        progress=progress,
+    )
+    found = {}
+    for number, node in enumerate(nodes):
+        weight = weights[node.name]
+        scales = weight_scales(weight, bits=recipe.weight_bits, per_channel=recipe.weight_per_channel)
+        found[node.name] = round_by_moments(
+            weight,
+            np.broadcast_to(scales, len(weight)),
+            blocks.pop(node.name),
+            bits=recipe.weight_bits,
+            input_noise=_rounding_noise(prepared, node.input[0], ranges),
+        )
+        progress(_STAGE, number + 1, len(nodes))
+    return found
+
+
+def round_by_moments(
+    weight: NDArray[np.float32],
+    scales: NDArray[np.float32],
+    blocks: Sequence[MomentBlock],
+    *,
+    bits: int,
+    input_noise: float = 0.0,
+) -> NDArray[np.int8]:
+    """The levels of one convolution's weights.
+
+    Args:
+        weight: (M, ...) float weights.
+        scales: (M,) what a level stands for.
+        blocks: Moments that together cover the weights.
+        bits: 8 or 7.
+        input_noise: Mean square of what rounding adds to each input.
+    """
+    nearest = quantize_weight(weight, scales, bits=bits)
+    levels = nearest.reshape(len(weight), -1).copy()
+    in_steps = weight.reshape(len(weight), -1).astype(np.float64) / scales.astype(np.float64)[:, None]
+    for block in blocks:
+        here = (block.rows, block.columns)
+        moments = block.moments + np.eye(len(block.moments)) * (
+            input_noise + _DAMPING * np.trace(block.moments) / len(block.moments)
+        )
+        if not np.trace(moments) > 0:
+            continue  # nothing but zeros was read
+        tried = _spread_errors(in_steps[here], moments, largest=largest_level(bits))
+        better = _error(tried - in_steps[here], moments) < _error(levels[here] - in_steps[here], moments)
+        levels[here] = np.where(better[:, None], tried, levels[here])
+    return levels.reshape(weight.shape)
+
+
+def _spread_errors(weight: NDArray[np.float64], moments: NDArray[np.float64], *, largest: int) -> NDArray[np.int8]:
+    """(M, K) weights in steps to levels, column by column, those first whose inputs are largest."""
+    order = np.argsort(-np.diag(moments), kind="stable")
+    # Row k of the upper factor of the inverse tells, divided by its diagonal, how much each later column takes on.
+    factor = np.linalg.cholesky(np.linalg.inv(moments[np.ix_(order, order)])).T
+    left = weight[:, order].copy()
+    levels = np.empty_like(left)
+    for first in range(0, len(order), _AT_ONCE):
+        last = min(first + _AT_ONCE, len(order))
+        errors = np.empty((len(left), last - first))
+        for column in range(first, last):
+            levels[:, column] = np.clip(np.rint(left[:, column]), -largest, largest)
+            error = (left[:, column] - levels[:, column]) / factor[column, column]
+            left[:, column + 1 : last] -= np.outer(error, factor[column, column + 1 : last])
+            errors[:, column - first] = error
+        left[:, last:] -= errors @ factor[first:last, last:]
+    found = np.empty(weight.shape, np.int8)
+    found[:, order] = levels
+    return found
+
+
+def _error(error: NDArray[np.float64], moments: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(M,) mean square of what an error of the weights does to each output."""
+    return np.einsum("mk,mk->m", error @ moments, error)
+
+
+def _two_dimensional(prepared: Prepared, index: GraphIndex) -> list[onnx.NodeProto]:
+    """The 8-bit convolutions over images, with explicit padding."""
+    return [
+        node
+        for node in prepared.model.graph.node
+        if node.op_type == "Conv"
+        and node.name in prepared.placement.nodes
+        and _weight(index, node).ndim == 4
+        and attribute(node, "auto_pad", b"NOTSET") == b"NOTSET"
+    ]
+
+
+def _weight(index: GraphIndex, node: onnx.NodeProto) -> NDArray[np.float32]:
+    weight = index.constant(node.input[1])
+    assert weight is not None  # placement took only such
+    return weight
+
+
+def _rounding_noise(prepared: Prepared, tensor: str, ranges: Mapping[str, Range]) -> float:
+    """Mean square error of a tensor in 8 bits: a twelfth of a squared step; 0 for pixels, which are bytes anyway."""
+    placement = prepared.placement
+    root = placement.root_of.get(tensor, tensor)
+    if root in placement.given or root not in ranges:
+        return 0.0
+    low, high = ranges[root]
+    recipe = prepared.recipe
+    return (
+        activation_params(low, high, dtype=recipe.activation_type, symmetric=recipe.activation_symmetric).scale ** 2
+        / 12
+    )
