@@ -2,11 +2,10 @@
 
 To the nearest level is best for one weight alone. A convolution sums many products of inputs that are related
 (neighbouring pixels, channels that fire together), so the error of one weight can be made good by another: what
-AdaRound learns by gradient descent (Nagel et al., Up or Down?, 2020), and what Optimal Brain Surgeon has in closed form
-(Hassibi and Stork, 1993; Frantar et al., GPTQ, 2022): weights are rounded one after the other, and what is not yet
-rounded takes on, by the inverse of the inputs' second moments, what the error so far did to the output. The inputs' own
-rounding counts as noise that is related to nothing. An output channel for which this is no better than the nearest
-levels keeps those. Costs nothing at run time.
+AdaRound learns by gradient descent (Nagel et al., Up or Down?, 2020), and what GPTQ has in closed form (Frantar et al.,
+2022; in the form of Babai's nearest plane): weights are rounded one after the other, and each takes on, by the inputs'
+second moments, what the errors so far did to the output. The inputs' own rounding counts as noise that is related to
+nothing. An output channel for which this is no better than the nearest levels keeps those. Costs nothing at run time.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ from quantize.window_moments import MomentBlock, window_moments
 _DAMPING = 0.01
 """Of the mean moment, added to each: a sample of windows knows rare directions badly."""
 _AT_ONCE = 128
-"""Columns after which the error so far is spread on all that follow."""
+"""Columns that take on the errors of all before them in one product."""
 _STAGE = "rounding weights"
 
 
@@ -164,21 +163,23 @@ def round_by_moments(
 
 
 def _spread_errors(weight: NDArray[np.float64], moments: NDArray[np.float64], *, largest: int) -> NDArray[np.int8]:
-    """(M, K) weights in steps to levels, column by column, those first whose inputs are largest."""
-    order = np.argsort(-np.diag(moments), kind="stable")
-    # Row k of the upper factor of the inverse tells, divided by its diagonal, how much each later column takes on.
-    factor = np.linalg.cholesky(np.linalg.inv(moments[np.ix_(order, order)])).T
-    left = weight[:, order].copy()
-    levels = np.empty_like(left)
-    for first in range(0, len(order), _AT_ONCE):
-        last = min(first + _AT_ONCE, len(order))
-        errors = np.empty((len(left), last - first))
-        for column in range(first, last):
-            levels[:, column] = np.clip(np.rint(left[:, column]), -largest, largest)
-            error = (left[:, column] - levels[:, column]) / factor[column, column]
-            left[:, column + 1 : last] -= np.outer(error, factor[column, column + 1 : last])
-            errors[:, column - first] = error
-        left[:, last:] -= errors @ factor[first:last, last:]
+    """(M, K) weights in steps to levels, column by column, those first whose inputs are largest.
+
+    With the moments' Cholesky factor L the error at the output is |L' e|^2, whose terms depend on ever fewer columns:
+    taken from the last one back, each column can bring the term that it is the first of down to half a step.
+    """
+    order = np.argsort(np.diag(moments), kind="stable")
+    factor = np.linalg.cholesky(moments[np.ix_(order, order)])
+    share = factor / np.diag(factor)
+    sorted_weight = weight[:, order]
+    levels, errors = np.empty_like(sorted_weight), np.zeros_like(sorted_weight)
+    for last in range(len(order), 0, -_AT_ONCE):
+        first = max(last - _AT_ONCE, 0)
+        wanted = sorted_weight[:, first:last] + errors[:, last:] @ share[last:, first:last]
+        for column in range(last - 1, first - 1, -1):
+            taken_on = errors[:, column + 1 : last] @ share[column + 1 : last, column]
+            levels[:, column] = np.clip(np.rint(wanted[:, column - first] + taken_on), -largest, largest)
+            errors[:, column] = sorted_weight[:, column] - levels[:, column]
     found = np.empty(weight.shape, np.int8)
     found[:, order] = levels
     return found
