@@ -1,6 +1,6 @@
 """Keeps an accuracy budget: gives the worst layers back to float until the drop is small enough.
 
-What costs nothing at run time comes first: other ways to write the same placement (searched ranges, corrected biases)
+What costs nothing at run time comes first: other ways to write the same placement (rounded weights, corrected biases)
 are measured before any layer is given back, and the best of them is what the search goes on with.
 
 The search knows nothing of accuracy. It is handed a function that builds a model with given layers in
