@@ -31,8 +31,12 @@ pytestmark = [pytest.mark.torch, pytest.mark.slow]
 SIZE_HW = (96, 320)
 # Another thread count moved the official losses by at most this, relative; ten times for another implementation.
 LOSS_TOLERANCE = (1e-5, 2e-5, 2e-3)
-GRADIENT_NORM_TOLERANCE = (1e-4, 1e-3)  # relative; sums of millions of float32 squares, one step apart
-CLIPPED_GRADIENT_TOLERANCE = 1e-4  # of the tensor's largest gradient
+# Relative. Adam's first step is lr x sign: entries near 0 whose sign another instruction set (AVX2 for AVX-512)
+# turned moved single tensors' norms of the second step by up to 4e-3.
+GRADIENT_NORM_TOLERANCE = (1e-4, 1e-2)
+CLIPPED_GRADIENT_TOLERANCE = 1e-3
+"""Of the tensor's largest gradient: AVX2 moved the first norm's, at the end of the longest chain, by 4e-4 (others by
+3e-6), torch's convolutions without oneDNN by 8e-3."""
 PARAMETER_TOLERANCE = 1e-6  # where the gradient is far from 0: Adam's first step is lr x sign
 SIGN_TOLERANCE = 2.1e-4  # elsewhere the sign may differ: twice the learning rate
 FAR_FROM_ZERO = 1e-2  # of the tensor's largest gradient
