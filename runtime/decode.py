@@ -129,12 +129,15 @@ class Decoder:
         votes = policy.voting_iou is not None
         found = self.candidates(cls_logits, box_deltas, P2=P2, score=LEAST_SCORE_SHARE * score if votes else score)
         passed = np.flatnonzero(found.score > score) if votes else np.arange(len(found.score))
+        by_depth = policy.depth_share is not None and not policy.per_class
         keep = passed[
             non_maximum_suppression(
                 found.boxes[passed, X1 : Y2 + 1].astype(np.float64),
                 found.score[passed].astype(np.float64),
                 policy.iou,
-                groups=found.class_id[passed] if policy.per_class else None,
+                groups=found.class_id[passed] if policy.per_class or by_depth else None,
+                depths=found.boxes[passed, Z].astype(np.float64) if by_depth else None,
+                depth_share=policy.depth_share or 0.0,
             )
         ]
         boxes, class_id = found.boxes[keep], found.class_id[keep]

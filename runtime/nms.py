@@ -20,7 +20,13 @@ def iou_one_to_many(box: FloatArray, boxes: FloatArray) -> FloatArray:
 
 
 def non_maximum_suppression(
-    boxes: FloatArray, scores: FloatArray, iou: float, *, groups: NDArray[np.int64] | None = None
+    boxes: FloatArray,
+    scores: FloatArray,
+    iou: float,
+    *,
+    groups: NDArray[np.int64] | None = None,
+    depths: FloatArray | None = None,
+    depth_share: float = 0.0,
 ) -> NDArray[np.int64]:
     """Keep the best box of every cluster.
 
@@ -29,6 +35,8 @@ def non_maximum_suppression(
         scores: (N,).
         iou: boxes that overlap a kept one by more than this are dropped.
         groups: (N,) class of each box: only boxes of the same group suppress each other; None: all together.
+        depths: (N,) metres: boxes of different groups suppress each other, too, where their depths differ by
+            less than ``depth_share`` of the kept one's.
 
     Returns:
         Indices of the kept boxes, by falling score (ties: lower index first).
@@ -36,13 +44,17 @@ def non_maximum_suppression(
     order = np.argsort(-scores, kind="stable")
     ranked = np.asfortranarray(boxes[order])  # each coordinate contiguous: the inner loop is over columns
     group = None if groups is None else groups[order]
+    depth = None if depths is None else depths[order]
     alive = np.ones(len(order), dtype=bool)
     for rank in range(len(order)):
         if not alive[rank]:
             continue
         suppressed = iou_one_to_many(ranked[rank], ranked[rank + 1 :]) > iou
         if group is not None:
-            suppressed &= group[rank + 1 :] == group[rank]
+            rivals = group[rank + 1 :] == group[rank]
+            if depth is not None:
+                rivals |= np.abs(depth[rank + 1 :] - depth[rank]) < depth_share * depth[rank]
+            suppressed &= rivals
         alive[rank + 1 :] &= ~suppressed
     kept: NDArray[np.int64] = order[alive]
     return kept

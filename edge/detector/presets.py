@@ -249,7 +249,7 @@ PRESETS: dict[str, Preset] = {
             max_occlusion=2,
         ),
         anchors=AnchorLayout(base_px=14.0, scales_per_octave=3.0, scale_count=12),
-        nms=NmsPolicy(iou=0.4, voting_iou=0.7),
+        nms=NmsPolicy(iou=0.4, voting_iou=0.7, depth_share=0.15),
         thresholds=Thresholds(evaluate=0.05, display=0.5),
         depth_refinement=True,
     ),

@@ -26,6 +26,16 @@ def test_groups_do_not_suppress_each_other() -> None:
     assert list(non_maximum_suppression(boxes, scores, 0.5, groups=np.array([0, 1, 0]))) == [0, 1]
 
 
+def test_groups_suppress_each_other_at_one_depth() -> None:
+    """A rider before a car: the car behind and another rider behind it stay or go by class and depth."""
+    boxes = np.array([[0.0, 0, 10, 10]] * 4)
+    scores, groups = np.array([0.9, 0.8, 0.7, 0.6]), np.array([0, 1, 0, 1])
+    depths = np.array([10.0, 18.0, 18.0, 11.0])
+    kept = non_maximum_suppression(boxes, scores, 0.5, groups=groups, depths=depths, depth_share=0.15)
+    assert list(kept) == [0, 1]
+    assert list(non_maximum_suppression(boxes[:2], scores[:2], 0.5, groups=groups[:2])) == [0, 1]
+
+
 def test_equal_scores_keep_the_first() -> None:
     boxes = np.array([[0.0, 0, 10, 10], [0, 0, 10, 10]])
     assert list(non_maximum_suppression(boxes, np.array([0.5, 0.5]), 0.5)) == [0]

@@ -9,8 +9,9 @@ import pytest
 
 from edge.detector.presets import preset
 from runtime.boxcode import ALPHA, CX, X1, Y2, Z
-from runtime.contracts.manifest import AnchorPriors
+from runtime.contracts.manifest import AnchorPriors, Manifest
 from runtime.decode import Decoder
+from runtime.nms import iou_one_to_many
 from runtime.voting import voted_boxes
 
 IOU = 0.7
@@ -65,24 +66,56 @@ def test_angles_are_averaged_across_the_turn_and_only_with_their_like() -> None:
     assert opposite[Z] == pytest.approx(20.5, rel=FLOAT32_SHARE)
 
 
-def test_boxes_do_not_depend_on_the_threshold_of_the_call() -> None:
-    manifest = replace(preset("compact").manifest(), input_size_hw=(96, 192))
+def random_outputs(manifest: Manifest) -> tuple[AnchorPriors, np.ndarray, np.ndarray]:
+    """Priors of one mean, depths spread over 5 m, with logits and deltas of every anchor."""
     layout = manifest.anchors
     shape = (3, layout.scale_count, len(layout.ratios), 6)
     mean = np.broadcast_to(np.array([20, 0.1, 0.9, 1.6, 1.5, 3.9], np.float32), shape).copy()
-    decoder = Decoder(manifest, AnchorPriors(mean, np.full(shape, 0.5, np.float32)))
+    deviation = np.broadcast_to(np.array([5, 0.5, 0.5, 0.5, 0.5, 0.5], np.float32), shape).copy()
     rng = np.random.default_rng(3)
     count = 6 * 12 * layout.per_cell
     logits = rng.normal(-3, 2, (1, count, 4)).astype(np.float32)
-    deltas = rng.normal(0, 0.2, (1, count, 12)).astype(np.float32)
+    return AnchorPriors(mean, deviation), logits, rng.normal(0, 0.2, (1, count, 12)).astype(np.float32)
+
+
+@pytest.fixture
+def manifest() -> Manifest:
+    return replace(preset("compact").manifest(), input_size_hw=(96, 192))
+
+
+def test_boxes_do_not_depend_on_the_threshold_of_the_call(manifest: Manifest) -> None:
+    priors, logits, deltas = random_outputs(manifest)
+    decoder = Decoder(manifest, priors)
     low, high = (decoder.decode_in_network(logits, deltas, P2=P2, score=score) for score in (0.1, 0.6))
     assert 0 < len(high.score) < len(low.score)
     chosen = low.score > 0.6
     np.testing.assert_array_equal(low.anchor_index[chosen], high.anchor_index)
     np.testing.assert_array_equal(low.boxes[chosen], high.boxes)
-    plain = Decoder(
-        replace(manifest, nms=replace(manifest.nms, voting_iou=None)),
-        AnchorPriors(mean, np.ones(shape, np.float32) / 2),
-    )
+    plain = Decoder(replace(manifest, nms=replace(manifest.nms, voting_iou=None)), priors)
     unvoted = plain.decode_in_network(logits, deltas, P2=P2, score=0.6)
     assert not np.array_equal(unvoted.boxes[:, X1 : Y2 + 1], high.boxes[:, X1 : Y2 + 1])
+
+
+def test_classes_drop_each_other_only_where_depths_agree(manifest: Manifest) -> None:
+    priors, logits, deltas = random_outputs(manifest)
+    policy = replace(manifest.nms, voting_iou=None)
+    found = {}
+    for name, nms in {
+        "over all": replace(policy, depth_share=None),
+        "by depth": policy,
+        "within classes": replace(policy, per_class=True),
+    }.items():
+        found[name] = Decoder(replace(manifest, nms=nms), priors).decode_in_network(logits, deltas, P2=P2, score=0.1)
+    counts = [len(item.score) for item in found.values()]
+    assert counts == sorted(set(counts))
+    kept = found["by depth"]
+    pairs = 0
+    for row, box_row in enumerate(kept.boxes[:-1]):
+        later = kept.boxes[row + 1 :].astype(np.float64)
+        other = kept.class_id[row + 1 :] != kept.class_id[row]
+        overlap = iou_one_to_many(box_row[X1 : Y2 + 1].astype(np.float64), later[:, X1 : Y2 + 1]) > policy.iou
+        apart = np.abs(later[:, Z] - box_row[Z]) >= policy.depth_share * box_row[Z]
+        assert np.all(apart[overlap])
+        assert np.all(other[overlap])
+        pairs += int(overlap.sum())
+    assert pairs > 0
