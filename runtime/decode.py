@@ -10,6 +10,7 @@ without a positive size are dropped; angles are wrapped unless ``official_angles
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,10 @@ from runtime.nms import non_maximum_suppression
 from runtime.preprocess import NetworkView
 from runtime.voting import LEAST_SCORE_SHARE, voted_boxes
 
+PEOPLE: Final = frozenset({"Pedestrian", "Cyclist", "Person_sitting"})
+"""Classes that one person may be taken for: these suppress each other whatever their depths."""
+_ANY_PERSON = -1
+
 
 @dataclass(frozen=True, slots=True)
 class NetworkBoxes:
@@ -67,6 +72,8 @@ class Decoder:
         self._grid = anchor_grid(manifest.anchors, manifest.input_size_hw)
         self._mean, self._std = priors.by_anchor()
         self._usable: dict[bytes, tuple[BoolArray, BoolArray]] = {}
+        kinds = [_ANY_PERSON if name in PEOPLE else index for index, name in enumerate(manifest.classes)]
+        self._kind = np.array(kinds, np.int64)
 
     def usable(self, P2: FloatArray) -> BoolArray:
         """(N,) bool: anchors near the ground plane, for any class, for this projection of the network image."""
@@ -130,12 +137,13 @@ class Decoder:
         found = self.candidates(cls_logits, box_deltas, P2=P2, score=LEAST_SCORE_SHARE * score if votes else score)
         passed = np.flatnonzero(found.score > score) if votes else np.arange(len(found.score))
         by_depth = policy.depth_share is not None and not policy.per_class
+        kind = self._kind[found.class_id] if by_depth else found.class_id
         keep = passed[
             non_maximum_suppression(
                 found.boxes[passed, X1 : Y2 + 1].astype(np.float64),
                 found.score[passed].astype(np.float64),
                 policy.iou,
-                groups=found.class_id[passed] if policy.per_class or by_depth else None,
+                groups=kind[passed] if policy.per_class or by_depth else None,
                 depths=found.boxes[passed, Z].astype(np.float64) if by_depth else None,
                 depth_share=policy.depth_share or 0.0,
             )

@@ -101,8 +101,9 @@ class NmsPolicy:
         iou: overlap from which on the lower box is dropped; per_class: only boxes of one class drop each other.
         voting_iou: overlap from which on boxes of the same class have a vote on the kept one (`runtime.voting`); None
             keeps it as it is (official).
-        depth_share: boxes of different classes drop each other only where their depths differ by less than this share,
-            so that a rider and the car behind both stay; None: wherever they overlap (official).
+        depth_share: boxes of different classes, but for people among themselves, drop each other only where their
+            depths differ by less than this share, so that a rider and the car behind both stay; None: wherever they
+            overlap (official).
     """
 
     iou: float = 0.4
