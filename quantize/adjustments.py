@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
 from calib.choice import Choice
@@ -16,9 +16,10 @@ from calib.ranges import Progress, no_progress
 from quantize.bias_correction import Shifts
 from quantize.calibration import Calibration, corrections
 from quantize.prepare import Prepared
-from quantize.qdq import Levels
+from quantize.qdq import Levels, QuantisedGraph
 from quantize.recipe import Recipe
 from quantize.rounding import roundings
+from quantize.static import build
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +76,25 @@ def adjust(
         progress=progress,
     )
     return Adjustments(levels, shifts)
+
+
+def build_adjusted(
+    prepared: Prepared,
+    calibration: Calibration,
+    ranges: Mapping[str, Range],
+    adjusted: Adjustments,
+    *,
+    given_back: Collection[str] = (),
+) -> QuantisedGraph:
+    """`quantize.static.build` with the adjustments in it."""
+    return build(
+        prepared,
+        calibration.observation,
+        ranges,
+        given_back=given_back,
+        shifts=adjusted.shifts,
+        levels=adjusted.levels,
+    )
 
 
 def variants(prepared: Prepared) -> dict[str, Prepared]:

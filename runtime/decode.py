@@ -137,13 +137,15 @@ class Decoder:
         found = self.candidates(cls_logits, box_deltas, P2=P2, score=LEAST_SCORE_SHARE * score if votes else score)
         passed = np.flatnonzero(found.score > score) if votes else np.arange(len(found.score))
         by_depth = policy.depth_share is not None and not policy.per_class
-        kind = self._kind[found.class_id] if by_depth else found.class_id
+        groups = found.class_id[passed] if policy.per_class else None
+        if by_depth:
+            groups = self._kind[found.class_id[passed]]
         keep = passed[
             non_maximum_suppression(
                 found.boxes[passed, X1 : Y2 + 1].astype(np.float64),
                 found.score[passed].astype(np.float64),
                 policy.iou,
-                groups=kind[passed] if policy.per_class or by_depth else None,
+                groups=groups,
                 depths=found.boxes[passed, Z].astype(np.float64) if by_depth else None,
                 depth_share=policy.depth_share or 0.0,
             )

@@ -86,12 +86,11 @@ def quantize_command(
 
     from edge.report.terminal import report_console, show_table
     from edge.samples import calibration_source
-    from quantize.adjustments import adjust, variants
+    from quantize.adjustments import adjust, build_adjusted, variants
     from quantize.calibration import calibrate, choose_frames, equalised
     from quantize.prepare import prepare_model
     from quantize.range_search import settled_ranges
     from quantize.recipe import detect_target, recipe_for_target
-    from quantize.static import build
     from quantize.write import write_directory
     from runtime.contracts.errors import GoalMissedError
     from runtime.contracts.manifest import open_model_directory
@@ -165,14 +164,7 @@ def quantize_command(
         looked_at = list(chosen.frames(PARITY_FRAMES))
 
     def write(adjusted: Adjustments, place: Path, given_back: Sequence[str]) -> ModelDirectory:
-        graph = build(
-            prepared,
-            found.observation,
-            ranges,
-            given_back=given_back,
-            shifts=adjusted.shifts,
-            levels=adjusted.levels,
-        )
+        graph = build_adjusted(prepared, found, ranges, adjusted, given_back=given_back)
         return write_directory(prepared, graph, found, place, method=settled.name, given_back=given_back)
 
     search = None

@@ -73,9 +73,8 @@ def write_curve_of(
     from edge.evaluation.run import run_model
     from edge.report.curve import write_curve
     from edge.samples import measuring_source
-    from quantize.adjustments import adjust
+    from quantize.adjustments import adjust, build_adjusted
     from quantize.prefixes import looked_at, observe_first
-    from quantize.static import build
     from quantize.write import write_directory
     from runtime.sources.factory import open_sequence
 
@@ -108,7 +107,7 @@ def write_curve_of(
                     use_cache=False,
                     allow_other_rig=allow_other_rig,
                 )
-                graph = build(prepared, calibrated.observation, ranges, shifts=adjusted.shifts, levels=adjusted.levels)
+                graph = build_adjusted(prepared, calibrated, ranges, adjusted)
                 written = write_directory(prepared, graph, calibrated, Path(made) / f"{way}-{count}", method=method)
                 run = run_model(written.path, source, allow_other_rig=allow_other_rig)
                 coverage = 0.0 if few.chosen.coverage is None else few.chosen.coverage.score

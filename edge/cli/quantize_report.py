@@ -59,10 +59,10 @@ def report(
         write_quantisation_report,
     )
     from edge.samples import measuring_source
+    from quantize.adjustments import build_adjusted
     from quantize.placement import place
     from quantize.prepare import int8_share
     from quantize.sensitivity import layer_noise
-    from quantize.static import build
     from runtime.bench import bench_models, profile_directory
     from runtime.contracts.errors import EdgeError
     from runtime.peak_memory import peak_memory
@@ -96,14 +96,7 @@ def report(
                 warn_of_overlap(found.frames, source, name=name)
             pairs = list(spread_frames(source, TIMED_FRAMES))
             feeds = list(frame_feeds(pairs[:NOISE_FRAMES], manifest, allow_other_rig=allow_other_rig))
-            graph = build(
-                prepared,
-                found.observation,
-                ranges,
-                given_back=given_back,
-                shifts=adjusted.shifts,
-                levels=adjusted.levels,
-            )
+            graph = build_adjusted(prepared, found, ranges, adjusted, given_back=given_back)
             layers = layer_noise(prepared, graph, lambda: feeds)
             paths = [prepared.source.path, written.path]
             runs, measurements = _measure(paths, source, allow_other_rig=allow_other_rig)
