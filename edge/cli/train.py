@@ -75,6 +75,12 @@ def train_command(
     freeze_norms: Annotated[
         bool, typer.Option("--freeze-norms", help="Keep the statistics of all batch norms, for small batches.")
     ] = False,
+    freeze_backbone: Annotated[
+        Optional[int],  # noqa: UP045
+        typer.Option(
+            min=0, max=4, help="Parts that keep their weights: stem, then stages; the preset's where not given."
+        ),
+    ] = None,
     paste: Annotated[
         float,
         typer.Option(min=0, max=1, help="Share of frames that get objects of other frames; stereo presets."),
@@ -93,6 +99,10 @@ def train_command(
     quantize_aware: Annotated[
         bool, typer.Option("--quantize-aware", help="Learn to stand 8-bit rounding; for a run's last steps.")
     ] = False,
+    weight_bits: Annotated[
+        int,
+        typer.Option(min=7, max=8, help="Of that rounding: 7 for INT8 targets with 7-bit weights (generic, x86-avx2)."),
+    ] = 8,
     validation: Annotated[
         Optional[str],  # noqa: UP045
         typer.Option(help="Labelled stereo source URI: AP while training, and the best weights kept."),
@@ -126,6 +136,7 @@ def train_command(
     from edge.detector.ablations import ablated
     from edge.detector.build import build_detector
     from edge.detector.presets import preset as find_preset
+    from edge.detector.presets import with_frozen_backbone
     from edge.detector.weights import PRIORS_KEY, load_backbone, load_weights, priors_digest, save_weights
     from edge.training.distributed import process_group, ranks_of_environment, wait_for_all
     from edge.training.frame_changes import frame_changes
@@ -144,6 +155,8 @@ def train_command(
 
     chosen = find_preset(preset) if method is None else with_method(find_preset(preset), method)
     chosen = ablated(chosen, ablate or [])
+    if freeze_backbone is not None:
+        chosen = with_frozen_backbone(chosen, freeze_backbone)
     weights = list(repeat or []) + [1] * (len(dataset) - len(repeat or []))
     if len(weights) != len(dataset) or min(weights) < 1:
         raise EdgeError(
@@ -198,6 +211,7 @@ def train_command(
             average_decay=average_decay,
             freeze_norms=freeze_norms,
             quantize_aware=quantize_aware,
+            weight_bits=weight_bits,
             paste=paste,
             zoom=zoom,
             faults=faults,

@@ -9,7 +9,7 @@ right view, no neck, ResNet-101, cars alone, and angles that climb to fit the 2D
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from runtime.contracts.errors import EdgeError
@@ -280,3 +280,8 @@ def preset(name: str) -> Preset:
     if name not in PRESETS:
         raise PresetError(f"preset is {name!r}, expected one of {', '.join(PRESETS)}; choose one of these")
     return PRESETS[name]
+
+
+def with_frozen_backbone(chosen: Preset, parts: int) -> Preset:
+    """The preset with so many parts of the backbone, from the stem on, whose weights stay as loaded."""
+    return replace(chosen, training=replace(chosen.training, frozen_backbone_parts=parts))

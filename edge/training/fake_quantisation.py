@@ -1,12 +1,12 @@
 """Training under 8-bit rounding: the network computes as its INT8 graph will, the weights stay plain floats.
 
-Forward, every convolution's weight and every tensor that the INT8 graph stores in 8 bits is rounded to 256 levels;
-backward, rounding counts as the identity (straight-through; Jacob et al., Quantization and Training of Neural
-Networks, 2018, section 3). The places are those of `quantize.placement`: what a convolution gives behind its norm and
-ReLU, sums, concatenations, pools, correlations, and outputs that are not exact (`quantize.ends`) with a range a
-column. A norm that the export folds into its convolution changes no level of the weight, as each output channel has
-a scale of its own. Ranges are what `calib.methods.mse_range` makes of a thinned-out batch, averaged over steps; the
-columns' are running extremes.
+Forward, every convolution's weight is rounded to 255 levels (127 with 7-bit weights) and every tensor that the INT8
+graph stores in 8 bits to 256; backward, rounding counts as the identity (straight-through; Jacob et al., Quantization
+and Training of Neural Networks, 2018, section 3). The places are those of `quantize.placement`: what a convolution
+gives behind its norm and ReLU, sums, concatenations, pools, correlations, and outputs that are not exact
+(`quantize.ends`) with a range a column. A norm that the export folds into its convolution changes no level of the
+weight, as each output channel has a scale of its own. Ranges are what `calib.methods.mse_range` makes of a thinned-out
+batch, averaged over steps; the columns' are running extremes.
 
 Nothing of this is in the module: hooks that `FakeQuantisation.remove` takes away, no parameter, no buffer, no name.
 """
@@ -28,7 +28,7 @@ from edge.detector.deformable import DeformableConv2d
 from edge.detector.head import AnchorHead
 from edge.detector.neck import DisparityBranch, ExpandAndMix, StereoNeck
 from edge.training.distributed import ALONE, Ranks, gathered
-from quantize.qparams import SMALLEST_SCALE, activation_params
+from quantize.qparams import SMALLEST_SCALE, activation_params, largest_level
 from runtime.boxcode import DELTA_COUNT
 
 FIRST_STEPS = 10
@@ -42,7 +42,6 @@ EXTREMES_MEMORY = 0.98
 SAMPLES = 1 << 18
 """Values of a tensor that a measurement looks at."""
 
-_WEIGHT_LEVELS = 127
 _LEVELS = 255
 _SPREADING = 2654435761  # prime: multiples of it, modulo any size, lie evenly and in step with no channel count
 _CONVOLUTIONS = (nn.Conv2d, nn.Conv3d, DeformableConv2d)
@@ -53,10 +52,12 @@ class FakeQuantisation:
 
     Args:
         detector: a stereo or mono detector; its parameters, buffers and their names stay as they are.
+        weight_bits: 8, or 7 where the target's weights have so many (`quantize.targets`).
         ranks: this process among those that train; ranges are those of the first.
     """
 
-    def __init__(self, detector: nn.Module, *, ranks: Ranks = ALONE) -> None:
+    def __init__(self, detector: nn.Module, *, weight_bits: int = 8, ranks: Ranks = ALONE) -> None:
+        self._weight_bits = weight_bits
         self._ranks = ranks
         self._points: dict[str, _Point] = {}
         self._undo: list[Callable[[], None]] = []
@@ -131,7 +132,7 @@ class FakeQuantisation:
         plain = convolution._conv_forward
 
         def rounded(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor | None) -> torch.Tensor:
-            return plain(x, rounded_weight(weight), bias)
+            return plain(x, rounded_weight(weight, bits=self._weight_bits), bias)
 
         convolution._conv_forward = rounded  # type: ignore[method-assign]
         self._undo.append(lambda: delattr(convolution, "_conv_forward"))
@@ -227,11 +228,12 @@ class _Round(torch.autograd.Function):
         return gradient, None, None, None
 
 
-def rounded_weight(weight: torch.Tensor) -> torch.Tensor:
-    """A convolution's weight (M, ...) on 255 symmetric levels of its output channel; gradients pass."""
+def rounded_weight(weight: torch.Tensor, *, bits: int = 8) -> torch.Tensor:
+    """A convolution's weight (M, ...) on the 2^bits - 1 symmetric levels of its output channel; gradients pass."""
+    top = largest_level(bits)
     peaks = weight.detach().float().abs().amax(dim=tuple(range(1, weight.dim())), keepdim=True)
-    scale = (peaks / _WEIGHT_LEVELS).clamp_min(SMALLEST_SCALE)
-    out: torch.Tensor = _Round.apply(weight, scale, -_WEIGHT_LEVELS, _WEIGHT_LEVELS)
+    scale = (peaks / top).clamp_min(SMALLEST_SCALE)
+    out: torch.Tensor = _Round.apply(weight, scale, -top, top)
     return out
 
 

@@ -77,7 +77,9 @@ def train(
     parameters = [p for p in detector.parameters() if p.requires_grad]
     optimiser = torch.optim.Adam(parameters, lr=settings.learning_rate)
     average = AveragedModel(detector, settings.average_decay)
-    rounding = FakeQuantisation(detector, ranks=ranks) if settings.quantize_aware else None
+    rounding = None
+    if settings.quantize_aware:
+        rounding = FakeQuantisation(detector, weight_bits=settings.weight_bits, ranks=ranks)
     step = 0
 
     def save(name: str) -> None:

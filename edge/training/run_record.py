@@ -38,6 +38,7 @@ class RunSettings:
         freeze_norms: all batch norms keep their statistics, not only the backbone's: for small batches.
         validate_every: steps between validations, 0 for none.
         quantize_aware: train under 8-bit rounding, see `edge.training.fake_quantisation`.
+        weight_bits: of that rounding's weights, 8 or 7.
         paste, zoom, faults: shares of frames that are changed, see `edge.training.frame_changes`.
         unlabelled: sources that teach disparity alone.
     """
@@ -59,6 +60,7 @@ class RunSettings:
     freeze_norms: bool = False
     validate_every: int = 0
     quantize_aware: bool = False
+    weight_bits: int = 8
     paste: float = 0.0
     zoom: float = 0.0
     faults: float = 0.0

@@ -88,16 +88,17 @@ def test_columns_have_ranges_of_their_own_that_widen_at_once() -> None:
     assert 1.9 < point.bounds[1, 0] < 2
 
 
-def test_weights_are_those_that_quantisation_stores() -> None:
+@pytest.mark.parametrize("bits", [7, 8])
+def test_weights_are_those_that_quantisation_stores(bits: int) -> None:
     weight = torch.randn(6, 5, 3, 3, generator=torch.Generator().manual_seed(1))
     weight[2] = 0
-    scales = weight_scales(weight.numpy(), bits=8, per_channel=True)
-    expected = quantize_weight(weight.numpy(), scales, bits=8) * scales.reshape(-1, 1, 1, 1)
-    np.testing.assert_array_equal(rounded_weight(weight).numpy(), expected)
+    scales = weight_scales(weight.numpy(), bits=bits, per_channel=True)
+    expected = quantize_weight(weight.numpy(), scales, bits=bits) * scales.reshape(-1, 1, 1, 1)
+    np.testing.assert_array_equal(rounded_weight(weight, bits=bits).numpy(), expected)
     folded = weight * torch.rand(6, 1, 1, 1).add(0.5)  # a norm folded in changes no level
     np.testing.assert_array_equal(
-        quantize_weight(folded.numpy(), weight_scales(folded.numpy(), bits=8, per_channel=True), bits=8),
-        quantize_weight(weight.numpy(), scales, bits=8),
+        quantize_weight(folded.numpy(), weight_scales(folded.numpy(), bits=bits, per_channel=True), bits=bits),
+        quantize_weight(weight.numpy(), scales, bits=bits),
     )
 
 
@@ -198,6 +199,12 @@ def test_a_run_that_was_interrupted_ends_at_the_same_bits(toy: ModuleType, tmp_p
     plain = run(toy, tmp_path / "plain", settings(STEPS, quantize_aware=False))
     assert list(plain) == list(through)
     assert any(not torch.equal(value, plain[name]) for name, value in through.items())
+
+
+def test_weights_of_seven_bits_are_learned_under_coarser_levels(toy: ModuleType, tmp_path: Path) -> None:
+    made = settings(1, quantize_aware=True)
+    eight, seven = (run(toy, tmp_path / str(bits), replace(made, weight_bits=bits)) for bits in (8, 7))
+    assert any(not torch.equal(value, seven[name]) for name, value in eight.items())
 
 
 def test_a_plain_run_is_finished_under_rounding(toy: ModuleType, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import csv
 import json
 import struct
@@ -16,6 +17,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="the torch workbench is not installed")
 
 from edge.detector.network import StereoDetector  # noqa: E402
+from edge.detector.presets import with_frozen_backbone  # noqa: E402
 from edge.detector.weights import load_weights  # noqa: E402
 from edge.evaluation.kitti_ap import evaluate  # noqa: E402
 from edge.training.checkpoint import CHECKPOINT_FILE, AveragedModel, load_checkpoint  # noqa: E402
@@ -114,6 +116,22 @@ def test_lines_after_the_checkpoint_are_not_logged_twice(toy: ModuleType, tmp_pa
     run(toy, folder, resume=True)
     with (folder / "log.csv").open(newline="") as stream:
         assert [row["step"] for row in csv.DictReader(stream)] == ["1", "2", "3", "4"]
+
+
+@pytest.mark.parametrize("parts", [0, 3])
+def test_frozen_parts_of_the_backbone_keep_their_weights_and_the_others_learn(
+    toy: ModuleType, tmp_path: Path, parts: int
+) -> None:
+    chosen = with_frozen_backbone(toy.tiny_preset(), parts)
+    torch.manual_seed(5)
+    detector = StereoDetector(chosen)
+    before = copy.deepcopy(detector.backbone)
+    maker = SampleMaker(chosen, toy.plain_priors(chosen))
+    frames = MixedFrames([toy.DrawnFrames()], [1], maker=maker, seed=2)
+    train(detector, chosen, frames, settings=SETTINGS, run_dir=tmp_path, resume=False)
+    for index, (old, new) in enumerate(zip(before.parts(), detector.backbone.parts(), strict=True)):
+        kept = all(torch.equal(a, b) for a, b in zip(old.parameters(), new.parameters(), strict=True))
+        assert kept == (index < parts), index
 
 
 def test_average_of_decay_zero_is_the_last_state_and_a_shorter_memory_is_nearer_to_it() -> None:
