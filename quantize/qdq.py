@@ -92,6 +92,19 @@ def quantise_graph(
     return _Writer(model, placement, recipe, ranges, channels, shifts or {}, levels or {}).write()
 
 
+def nearest_levels(model: onnx.ModelProto, placement: Placement, recipe: Recipe) -> dict[str, NDArray[np.int8]]:
+    """Levels of all weights in 8 bits as `quantise_graph` works them out itself: for many graphs, once."""
+    index = GraphIndex(model)
+    found = {}
+    for node in model.graph.node:
+        if node.op_type == "Conv" and node.name in placement.nodes:
+            weight = index.constant(node.input[1])
+            assert weight is not None  # placement took only such
+            scales = weight_scales(weight, bits=recipe.weight_bits, per_channel=recipe.weight_per_channel)
+            found[node.name] = quantize_weight(weight, scales, bits=recipe.weight_bits)
+    return found
+
+
 class _Writer:
     """Holds the growing graph while the old one is walked once, in order."""
 
@@ -284,11 +297,12 @@ class _Writer:
         self, node: onnx.NodeProto, weight: NDArray[np.float32], scales: NDArray[np.float32]
     ) -> NDArray[np.int8]:
         """The given levels, but for channels whose scale is another than these were made for."""
-        nearest = quantize_weight(weight, scales, bits=self._recipe.weight_bits)
-        if node.name not in self._rounded:
-            return nearest
+        given = self._rounded.get(node.name)
         same = (scales == self._weight_scales(weight)).reshape(-1, *[1] * (weight.ndim - 1))
-        return np.where(same, self._rounded[node.name], nearest)
+        if given is not None and same.all():
+            return given
+        nearest = quantize_weight(weight, scales, bits=self._recipe.weight_bits)
+        return nearest if given is None else np.where(same, given, nearest)
 
     def _quantise_weights(
         self,

@@ -25,6 +25,7 @@ from calib.ranges import Feeds, Observation, Progress, no_progress
 from quantize.calibration import Calibration, run_key
 from quantize.output_error import OutputError
 from quantize.prepare import Prepared
+from quantize.qdq import nearest_levels
 from quantize.static import build
 
 SEARCH = "search"
@@ -34,11 +35,14 @@ MOST_MULTIPLY_ADDS = 8e12
 """Of all trials together: everything is tried of `compact`, only the methods of a network many times as heavy."""
 _SMALLEST_GAIN = 1e-3
 """Relative; less is the luck of a few frames."""
+_NO_ERROR = float(np.finfo(np.float64).tiny)
 _SAME = 0.02
 """Two ranges that differ by less than this part of their width are one."""
 _SHRINKS = ((0.8, 0.8), (0.7, 1.0), (0.9, 0.9), (1.0, 0.8))
 """Of the low and the high end."""
 _STAGE = "searching ranges"
+_WAY = "2"
+"""Of searching, for the cache: another number for another way."""
 _METHOD = "begun with "
 
 
@@ -92,7 +96,8 @@ def settled_ranges(
         return RangeSearch(observation.ranges(method), method, None, None, 0)
     few = calibration.frames.first(SEARCH_FRAMES)
     plain = build(prepared, observation, observation.ranges(next(iter(METHODS)))).model
-    key = run_key(prepared, plain, few, tensors=(SEARCH, f"{MOST_MULTIPLY_ADDS:g}", calibration.frames.digest))
+    settings = (SEARCH, _WAY, f"{MOST_MULTIPLY_ADDS:g}", calibration.frames.digest)
+    key = run_key(prepared, plain, few, tensors=settings)
     known = load(key) if use_cache else None
     if known is None:
         feeds = list(
@@ -126,18 +131,19 @@ def search_ranges(
     tensors = list(prepared.placement.observed)
     affordable = int(most_multiply_adds / max(1, len(feeds) * sum(prepared.products.values())))
     planned = max(len(METHODS), min(len(METHODS) + 2 * len(tensors), affordable))
+    levels = nearest_levels(prepared.model, prepared.placement, prepared.recipe)
     trials = 0
 
-    def error_of(ranges: Mapping[str, Range]) -> float:
+    def errors_of(ranges: Mapping[str, Range], rival: Sequence[float] = ()) -> list[float]:
         nonlocal trials
-        error = measure.of(build(prepared, observation, ranges).model)
+        found = measure.by_frame(build(prepared, observation, ranges, levels=levels).model, rival=rival)
         trials += 1
         progress(_STAGE, trials, planned)
-        return error
+        return found
 
-    errors = {method: error_of(ranges) for method, ranges in by_method.items()}
-    method = min(errors, key=lambda name: errors[name])
-    best, best_error = dict(by_method[method]), errors[method]
+    errors = {method: errors_of(ranges) for method, ranges in by_method.items()}
+    method = min(errors, key=lambda name: sum(errors[name]))
+    best, best_errors = dict(by_method[method]), errors[method]
     waiting = {
         name: _candidates(best[name], [ranges[name] for ranges in by_method.values()], observation.tensors[name])
         for name in tensors
@@ -145,12 +151,13 @@ def search_ranges(
     effect = dict.fromkeys(tensors, 0.0)
 
     def attempt(name: str) -> None:
-        nonlocal best, best_error
+        nonlocal best, best_errors
         changed = {**best, name: waiting[name].pop(0)}
-        error = error_of(changed)
-        effect[name] = max(effect[name], abs(error - best_error))
-        if error < best_error * (1 - _SMALLEST_GAIN):
-            best, best_error = changed, error
+        found = errors_of(changed, best_errors)
+        ratio = sum(found) / max(sum(best_errors[: len(found)]), _NO_ERROR)
+        effect[name] = max(effect[name], abs(ratio - 1) * sum(best_errors))
+        if len(found) == len(feeds) and ratio < 1 - _SMALLEST_GAIN:
+            best, best_errors = changed, found
 
     for name in tensors:
         if waiting[name] and trials < planned:
@@ -160,7 +167,7 @@ def search_ranges(
         attempt(loudest)
         effect[loudest] /= 2  # the next one's turn comes, too
     progress(_STAGE, planned, planned)
-    return RangeSearch(best, method, errors[method], best_error, trials)
+    return RangeSearch(best, method, sum(errors[method]), sum(best_errors), trials)
 
 
 def _candidates(current: Range, methods: Sequence[Range], statistics: TensorStatistics) -> list[Range]:

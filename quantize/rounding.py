@@ -34,6 +34,8 @@ _DAMPING = 0.01
 _AT_ONCE = 128
 """Columns that take on the errors of all before them in one product."""
 _STAGE = "rounding weights"
+_METHOD = "rounded weights, 2"
+"""Names what is kept; another number for another way of rounding."""
 
 
 def roundings(
@@ -61,7 +63,7 @@ def roundings(
         return {}
     nearest = build(prepared, calibration.observation, ranges).model
     few = calibration.frames.first(CORRECTION_FRAMES)
-    key = run_key(prepared, nearest, few, tensors=("rounded weights", str(CORRECTION_FRAMES)))
+    key = run_key(prepared, nearest, few, tensors=(_METHOD, str(CORRECTION_FRAMES)))
     seen = load(key) if use_cache else None
     if seen is not None:
         return {name: levels for name, (levels, _) in seen.channels.items()}
@@ -105,7 +107,7 @@ def rounded_weights(
     index, recipe = GraphIndex(prepared.model), prepared.recipe
     nodes = _two_dimensional(prepared, index)
     weights = {node.name: _weight(index, node) for node in nodes}
-    blocks = window_moments(
+    moments = window_moments(
         prepared.model,
         nodes,
         {name: weight.shape for name, weight in weights.items()},
@@ -115,17 +117,18 @@ def rounded_weights(
         progress=progress,
     )
     found = {}
-    for number, node in enumerate(nodes):
-        weight = weights[node.name]
+    inputs = {node.name: node.input[0] for node in nodes}
+    for name, blocks in moments:
+        weight = weights[name]
         scales = weight_scales(weight, bits=recipe.weight_bits, per_channel=recipe.weight_per_channel)
-        found[node.name] = round_by_moments(
+        found[name] = round_by_moments(
             weight,
             np.broadcast_to(scales, len(weight)),
-            blocks.pop(node.name),
+            blocks,
             bits=recipe.weight_bits,
-            input_noise=_rounding_noise(prepared, node.input[0], ranges),
+            input_noise=_rounding_noise(prepared, inputs[name], ranges),
         )
-        progress(_STAGE, number + 1, len(nodes))
+        progress(_STAGE, len(found), len(nodes))
     return found
 
 
@@ -151,9 +154,8 @@ def round_by_moments(
     in_steps = weight.reshape(len(weight), -1).astype(np.float64) / scales.astype(np.float64)[:, None]
     for block in blocks:
         here = (block.rows, block.columns)
-        moments = block.moments + np.eye(len(block.moments)) * (
-            input_noise + _DAMPING * np.trace(block.moments) / len(block.moments)
-        )
+        moments = block.moments.astype(np.float64)
+        moments[np.diag_indices(len(moments))] += input_noise + _DAMPING * np.trace(moments) / len(moments)
         if not np.trace(moments) > 0:
             continue  # nothing but zeros was read
         tried = _spread_errors(in_steps[here], moments, largest=largest_level(bits))

@@ -7,7 +7,7 @@ frames. It is taken over a sample of windows: neighbouring windows say nearly th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,7 +39,7 @@ class MomentBlock:
 
     rows: slice
     columns: slice
-    moments: NDArray[np.float64]
+    moments: NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,34 +70,37 @@ def window_moments(
     bytes_of: Mapping[str, int] | None = None,
     frame_count: int = 0,
     progress: Progress = no_progress,
-) -> dict[str, list[MomentBlock]]:
-    """Runs the model and takes the moments of each convolution's windows.
+) -> Iterator[tuple[str, list[MomentBlock]]]:
+    """Runs the model and takes the moments of each convolution's windows, as many convolutions at once as memory holds.
 
     Args:
         model: The float model.
         convolutions: 2D convolutions of it, with explicit padding.
         weight_shapes: Convolution -> (M, C / groups, kernel height, kernel width).
         feeds: Starts an iteration over the frames' feeds; called once a group of tensors.
-        bytes_of: Size of each tensor, for grouping.
+        bytes_of: Size of each tensor, for grouping; unknown ones count as nothing.
         frame_count: How many frames to expect, for progress alone.
         progress: Told after every frame.
 
-    Returns:
-        Convolution -> blocks that together cover its weights.
+    Yields:
+        A convolution, and blocks that together cover its weights.
 
     Raises:
         QuantizeError: There are no frames.
     """
-    sums: dict[str, list[NDArray[np.float64]]] = {}
     parts = {
         node.name: _parts(weight_shapes[node.name], window_of(node, weight_shapes[node.name])) for node in convolutions
     }
     readers: dict[str, list[onnx.NodeProto]] = {}
     for node in convolutions:
         readers.setdefault(node.input[0], []).append(node)
-    groups = split_groups(list(readers), bytes_of or {})
-    frames = 0
+    held = {
+        tensor: (bytes_of or {}).get(tensor, 0) + sum(_moment_bytes(parts[node.name]) for node in nodes)
+        for tensor, nodes in readers.items()
+    }
+    groups = split_groups(list(readers), held)
     for number, group in enumerate(groups):
+        sums: dict[str, list[NDArray[np.float32]]] = {}
         frames = 0
         with open_session(with_outputs(model, group), name="float model with inner tensors") as session:
             for feed in feeds():
@@ -106,19 +109,20 @@ def window_moments(
                     for node in readers[name]:
                         _add(sums, node, values, window_of(node, weight_shapes[node.name]), parts[node.name], frames)
                 progress(f"{_STAGE}, part {number + 1} of {len(groups)}", frames, max(frame_count, frames))
-    if frames == 0 and groups:
-        raise QuantizeError("rounding: found no frames; expected one or more; give a source with frames")
-    return {
-        name: [
-            MomentBlock(rows, columns, total / frames)
-            for (rows, _, columns), total in zip(parts[name], totals, strict=True)
-        ]
-        for name, totals in sums.items()
-    }
+        if frames == 0:
+            raise QuantizeError("rounding: found no frames; expected one or more; give a source with frames")
+        for name in list(sums):
+            yield (
+                name,
+                [
+                    MomentBlock(rows, columns, total / np.float32(frames))
+                    for (rows, _, columns), total in zip(parts[name], sums.pop(name), strict=True)
+                ],
+            )
 
 
 def _add(
-    sums: dict[str, list[NDArray[np.float64]]],
+    sums: dict[str, list[NDArray[np.float32]]],
     node: onnx.NodeProto,
     values: NDArray[np.float32],
     window: Window,
@@ -128,9 +132,12 @@ def _add(
     """Adds the mean over a frame's windows to a convolution's sums."""
     windows = sampled_windows(values, window, np.random.default_rng((_SEED, frame)))
     found = [windows[:, group, columns] for _, group, columns in parts]
-    moments = [(part.T @ part).astype(np.float64) / len(part) for part in found]
-    before = sums.get(node.name)
-    sums[node.name] = moments if before is None else [a + b for a, b in zip(before, moments, strict=True)]
+    moments = [part.T @ part / np.float32(len(part)) for part in found]
+    if node.name not in sums:
+        sums[node.name] = moments
+        return
+    for total, moment in zip(sums[node.name], moments, strict=True):
+        total += moment
 
 
 def sampled_windows(
@@ -157,6 +164,10 @@ def _parts(shape: tuple[int, ...], window: Window) -> list[tuple[slice, int, sli
     return [
         (slice(group * rows, (group + 1) * rows), group, columns) for group in range(window.groups) for columns in cuts
     ]
+
+
+def _moment_bytes(parts: Sequence[tuple[slice, int, slice]]) -> int:
+    return sum((columns.stop - columns.start) ** 2 * np.dtype(np.float32).itemsize for _, _, columns in parts)
 
 
 def window_of(node: onnx.NodeProto, weight_shape: tuple[int, ...]) -> Window:

@@ -45,6 +45,7 @@ def report(
     allow_other_rig: bool,
 ) -> list[Any]:
     """Measures, writes report.md and report.json into the model directory, and gives the tables to show."""
+    from concurrent.futures import ThreadPoolExecutor
     from dataclasses import asdict
 
     from calib.frames import frame_feeds, spread_frames
@@ -104,7 +105,8 @@ def report(
             evidence = collect_evidence(written.path, source, runs, plots)
             timed = bench_models(paths, pairs, repeat=TIMED_REPEAT, allow_other_rig=allow_other_rig)
             latency = tuple({**asdict(item), "path": Path(item.path).name} for item in timed)
-            memory = tuple(peak_memory(path, pairs[0]) for path in paths)
+            with ThreadPoolExecutor() as processes:  # each measures in a process of its own
+                memory = tuple(processes.map(lambda path: peak_memory(path, pairs[0]), paths))
             share_run = share_of_run(profile_directory(written.path, pairs[:1]))
     except EdgeError as error:
         if validation is not None:

@@ -56,6 +56,7 @@ def write_range_plots(path: Path, plots: Sequence[RangePlot]) -> None:
 
     matplotlib.use("agg")
     import matplotlib.pyplot as plt
+    from matplotlib.ticker import NullLocator
 
     rows = -(-len(plots) // COLUMNS)
     figure, axes = plt.subplots(rows, COLUMNS, figsize=(COLUMNS * INCHES_WH[0], rows * INCHES_WH[1]), squeeze=False)
@@ -75,6 +76,7 @@ def write_range_plots(path: Path, plots: Sequence[RangePlot]) -> None:
         axis.stairs(counts, edges, fill=True, color="#7a9cc6")
         if len(used):
             axis.set_yscale("log")
+            axis.yaxis.set_minor_locator(NullLocator())  # a logarithmic axis draws hundreds of ticks otherwise
         for place, label in ((plot.low, f"{plot.low:.3g}"), (plot.high, f"{plot.high:.3g}")):
             axis.axvline(place, color="#c0392b", linewidth=1.2)
             axis.annotate(label, (place, 1.0), xycoords=("data", "axes fraction"), fontsize=7, color="#c0392b")

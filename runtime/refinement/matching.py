@@ -78,13 +78,14 @@ class Matching:
         *,
         solid: bool,
     ) -> None:
-        self._right, self._columns, self._behind_m, self._seen = right, columns, behind_m, seen
-        self._focal_baseline, self._offset_px = focal_baseline, offset_px
-        grid = np.meshgrid(columns.astype(np.float32), rows.astype(np.float32))
-        self._rows = grid[1]
-        self._wanted = cv2.remap(left, grid[0], grid[1], cv2.INTER_LINEAR)
+        self._right, self._seen, self._focal_baseline = right, seen, focal_baseline
+        self._columns = (columns - offset_px).astype(np.float32)
+        self._behind_per_px = (behind_m / focal_baseline).astype(np.float32)
+        across, down = np.meshgrid(columns.astype(np.float32), rows.astype(np.float32))
+        self._rows = np.tile(down, (COARSE_STEPS, 1))
+        self._wanted = cv2.remap(left, across, down, cv2.INTER_LINEAR)
         self._patches = _Patches(seen) if solid else None
-        self._saturation = VEHICLE_SATURATION if solid else PERSON_SATURATION
+        self._saturation = np.float32(VEHICLE_SATURATION if solid else PERSON_SATURATION)
 
     def best_depth(self, depth_m: float) -> float:
         """Depth of the centre, metres, at which the samples match best; starts from the network's.
@@ -109,18 +110,24 @@ class Matching:
 
     def _costs(self, start_px: float, moves: FloatArray) -> FloatArray:
         """(K,) mean saturated difference of the views, plus the prior, when the centre's disparity moves."""
-        depths = np.maximum((self._focal_baseline / (start_px + moves))[:, None, None] + self._behind_m, 1.0)
-        columns = (self._columns - self._offset_px - self._focal_baseline / depths).astype(np.float32)
+        center_px = (start_px + moves).astype(np.float32)[:, None, None]
+        nearer = self._behind_per_px * center_px  # behind the centre: so much smaller is the disparity there
+        nearer += 1
+        np.maximum(nearer, center_px / np.float32(self._focal_baseline), out=nearer)  # no surface before a metre
+        columns = self._columns - np.divide(center_px, nearer, out=nearer)
         count, height, width = columns.shape
-        there = cv2.remap(
+        differences: FloatImage = cv2.remap(
             self._right,
             columns.reshape(count * height, width),
-            np.tile(self._rows, (count, 1)),
+            self._rows[: count * height],
             cv2.INTER_LINEAR,
             borderMode=cv2.BORDER_CONSTANT,
             borderValue=_NO_MATCH,
         ).reshape(columns.shape)
-        differences = np.minimum(np.abs(there - self._wanted) / self._saturation, 1.0)
+        differences -= self._wanted
+        np.abs(differences, out=differences)
+        differences /= self._saturation
+        np.minimum(differences, 1, out=differences)
         if self._patches is None:
             costs: FloatArray = differences[:, self._seen].mean(axis=1, dtype=np.float64)
         else:
@@ -133,23 +140,25 @@ class _Patches:
     """Groups of neighbouring samples, of which the best count."""
 
     def __init__(self, seen: NDArray[np.bool_]) -> None:
-        self._seen = seen
+        self._hidden = None if seen.all() else ~seen
         self._starts = [
             np.unique(np.arange(most) * size // most)
             for size, most in zip(seen.shape, (PATCH_ROWS, PATCH_COLUMNS), strict=True)
         ]
-        counts = self._sums(seen[None].astype(np.float64))[0]
+        counts = self._sums(seen[None].astype(np.float32))[0]
         self._full = counts >= LEAST_PATCH_SHARE * counts.max()
         self._counts = counts[self._full]
         self._trusted = max(1, round(TRUSTED_SHARE * len(self._counts)))
 
     def cost(self, differences: FloatImage) -> FloatArray:
-        """(K,) mean over the best patches of (K, R, C) differences."""
-        means = self._sums(differences * self._seen)[:, self._full] / self._counts
+        """(K,) mean over the best patches of (K, R, C) differences, which are written over."""
+        if self._hidden is not None:
+            differences[:, self._hidden] = 0
+        means = self._sums(differences)[:, self._full] / self._counts
         best: FloatArray = np.partition(means, self._trusted - 1, axis=1)[:, : self._trusted].mean(axis=1)
         return best
 
-    def _sums(self, values: FloatArray | FloatImage) -> FloatArray:
+    def _sums(self, values: FloatImage) -> FloatArray:
         """(K, patches) sums over (K, R, C)."""
         bands = np.add.reduceat(values, self._starts[0], axis=1)
         sums: FloatArray = np.add.reduceat(bands, self._starts[1], axis=2).astype(np.float64)

@@ -61,6 +61,16 @@ def test_depth_counts_more_than_width_and_twice_the_error_four_times(prepared, t
     assert ratio == pytest.approx(4, rel=1e-3)
 
 
+def test_a_graph_that_is_clearly_behind_is_run_on_half_of_the_frames(prepared, toy_feeds) -> None:
+    distance = OutputError(prepared.model, toy_feeds[:4])
+    near, far = shifted(prepared.model, 6, 0.1), shifted(prepared.model, 6, 0.2)
+    rival = distance.by_frame(near)
+    assert sum(rival) == distance.of(near)
+    assert distance.by_frame(far, rival=rival) == distance.by_frame(far)[:2]
+    assert distance.by_frame(near, rival=rival) == rival
+    assert distance.by_frame(near, rival=distance.by_frame(far)) == rival
+
+
 def test_background_does_not_count(prepared, toy_feeds) -> None:
     """An error where the float model sees nothing is weighed by its probability of an object."""
     distance = OutputError(prepared.model, toy_feeds[:1])

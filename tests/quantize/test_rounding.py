@@ -9,11 +9,12 @@ import pytest
 
 onnx = pytest.importorskip("onnx")
 
-from calib.ranges import observe  # noqa: E402
+from calib.ranges import GROUP_BYTES, observe  # noqa: E402
 from quantize.adjustments import adjust, adjustments_name, variants  # noqa: E402
 from quantize.errors import QuantizeError  # noqa: E402
 from quantize.output_error import OutputError  # noqa: E402
 from quantize.prepare import Prepared, prepare_model  # noqa: E402
+from quantize.qdq import nearest_levels  # noqa: E402
 from quantize.qparams import largest_level, quantize_weight, weight_scales  # noqa: E402
 from quantize.recipe import recipe_for_target  # noqa: E402
 from quantize.rounding import round_by_moments, rounded_weights  # noqa: E402
@@ -137,6 +138,30 @@ def test_a_layer_given_back_and_one_without_levels_are_written_as_before(prepare
         build(prepared, observation, ranges, given_back=["ghost.cheap"], levels=levels).model
         == build(prepared, observation, ranges, given_back=["ghost.cheap"], levels=kept).model
     )
+
+
+def test_where_memory_holds_one_convolution_at_a_time_the_levels_are_the_same(prepared, observation, toy_feeds) -> None:
+    ranges = observation.ranges("minmax")
+    stages: set[str] = set()
+    large = dict.fromkeys([node.input[0] for node in prepared.model.graph.node if node.op_type == "Conv"], GROUP_BYTES)
+    one_by_one = rounded_weights(
+        prepared,
+        ranges,
+        lambda: toy_feeds[:2],
+        bytes_of=large,
+        progress=lambda stage, done, total: stages.add(stage),
+    )
+    at_once = rounded_weights(prepared, ranges, lambda: toy_feeds[:2])
+    assert len(stages) > 2  # parts, and rounding itself
+    assert list(one_by_one) == list(at_once)
+    for name, levels in at_once.items():
+        np.testing.assert_array_equal(one_by_one[name], levels)
+
+
+def test_nearest_levels_given_are_those_that_a_build_finds_itself(prepared, observation) -> None:
+    ranges = observation.ranges("minmax")
+    levels = nearest_levels(prepared.model, prepared.placement, prepared.recipe)
+    assert build(prepared, observation, ranges, levels=levels).model == build(prepared, observation, ranges).model
 
 
 def test_no_frames_are_refused(prepared, observation) -> None:
