@@ -52,7 +52,7 @@ class FakeQuantisation:
 
     Args:
         detector: a stereo or mono detector; its parameters, buffers and their names stay as they are.
-        weight_bits: 8, or 7 where the target's weights have so many (`quantize.targets`).
+        weight_bits: 8, or 7 where the target's weights have so many (`quantize.recipe`).
         ranks: this process among those that train; ranges are those of the first.
     """
 

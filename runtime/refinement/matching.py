@@ -61,7 +61,7 @@ class Matching:
         seen: (R, C) samples that count, at least one.
         behind_m: (R, C) metres from the centre's depth to the surface's.
         focal_baseline: pixels times metres.
-        offset_px: how much smaller all disparities are than the depths say.
+        offset_px: how much larger all disparities are than the depths say.
         solid: judged by the patches that match best, as vehicles are; else by all samples.
     """
 
