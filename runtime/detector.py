@@ -18,9 +18,8 @@ from runtime.contracts.frame import StereoFrame
 from runtime.contracts.geometry import StereoGeometry
 from runtime.contracts.manifest import Manifest, ModelDirectory, open_model_directory
 from runtime.contracts.objects import Detections3D
-from runtime.decode import Decoder
 from runtime.preprocess import NetworkView, network_view, prepare
-from runtime.refinement import refine_depths
+from runtime.readout import Readout
 from runtime.rig import check_rig
 from runtime.session import Session, open_session
 
@@ -57,7 +56,7 @@ class Detector:
         """
         self.directory = directory
         self.session = session
-        self._decoder = Decoder(directory.manifest, directory.priors)
+        self._readout = Readout(directory.manifest, directory.priors)
         self._allow_other_rig = allow_other_rig
         self._warn = warn
         self._warned = False
@@ -99,10 +98,9 @@ class Detector:
         prepared = time.perf_counter()
         cls_logits, box_deltas = self._run(feeds)
         inferred = time.perf_counter()
-        detections = self._decoder.decode(cls_logits, box_deltas, view, score=score)
+        detections = self._readout.decode(cls_logits, box_deltas, view, score=score)
         decoded = time.perf_counter()
-        if self.manifest.depth_refinement and frame.right is not None:
-            detections = refine_depths(detections, frame.left, frame.right, frame.geometry)
+        detections = self._readout.refine(detections, frame, score=score)
         refined = time.perf_counter()
         times = (prepared - began, inferred - prepared, decoded - inferred, refined - decoded)
         return detections, {stage: 1e3 * secs for stage, secs in zip(STAGES, times, strict=True)}

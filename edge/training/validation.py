@@ -17,8 +17,8 @@ from edge.training.distributed import ALONE, Ranks, gathered, spread
 from runtime.contracts.errors import SourceError
 from runtime.contracts.manifest import AnchorPriors
 from runtime.contracts.objects import Detections3D, Objects3D
-from runtime.decode import Decoder
 from runtime.preprocess import network_view, prepare
+from runtime.readout import Readout
 from runtime.sources.base import FrameSequence
 
 VALIDATION_FILE, BEST_FILE = "validation.jsonl", "best.safetensors"
@@ -60,7 +60,7 @@ class Validation:
         self._detector = copy.deepcopy(detector).eval()
         self._classes = preset.classes
         self._manifest = preset.manifest(input_type="float32")
-        self._decoder = Decoder(self._manifest, priors)
+        self._readout = Readout(self._manifest, priors)
         self._frames = frames
         self._rows = [row for row in range(len(frames)) if frames.labels(row) is not None]
         if not self._rows:
@@ -119,7 +119,7 @@ class Validation:
             views = [torch.from_numpy(image).to(device) for image in prepare(frame, view, self._manifest).values()]
             with torch.inference_mode():
                 logits, deltas = (np.asarray(output.float().cpu()) for output in self._detector(*views)[:2])
-            found[row] = self._decoder.decode(logits, deltas, view)
+            found[row] = self._readout.refine(self._readout.decode(logits, deltas, view), frame)
         return found
 
 

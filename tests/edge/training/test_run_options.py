@@ -32,6 +32,7 @@ from edge.training.stream import MixedFrames  # noqa: E402
 from edge.training.validation import BEST_FILE, VALIDATION_FILE, Validation, mean_moderate_ap  # noqa: E402
 from runtime.contracts.errors import EdgeError, SourceError  # noqa: E402
 from runtime.contracts.objects import Detections3D  # noqa: E402
+from runtime.refinement import refine_depths  # noqa: E402
 
 pytestmark = [pytest.mark.torch, pytest.mark.usefixtures("one_thread")]
 
@@ -291,7 +292,7 @@ class KnowsTheAnswer(torch.nn.Module):
 
 
 def test_validation_finds_what_the_labels_say(toy: ModuleType, tmp_path: Path) -> None:
-    chosen, priors = toy.tiny_preset(), toy.plain_priors(toy.tiny_preset())
+    chosen, priors = replace(toy.tiny_preset(), depth_refinement=False), toy.plain_priors(toy.tiny_preset())
 
     class OneCar(toy.DrawnFrames):  # type: ignore[name-defined, misc]
         def labels(self, index: int) -> Any:
@@ -329,6 +330,40 @@ def test_validation_finds_what_the_labels_say(toy: ModuleType, tmp_path: Path) -
     assert certain["validation/score"] == mean_moderate_ap(best) > 0
     assert certain["validation/Car_3d_0.7_moderate"] == mean_moderate_ap(best)  # the one class that occurs
     assert blind["validation/score"] == 0
+
+
+def test_validation_refines_depths_as_the_exported_model_does(
+    toy: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    chosen, priors = toy.tiny_preset(), toy.plain_priors(toy.tiny_preset())
+    frames = toy.DrawnFrames()
+    sample = SampleMaker(chosen, priors, augment=False).make(frames[2], frames.labels(2), np.random.RandomState(0))
+    detector = KnowsTheAnswer(sample.targets, len(chosen.classes))
+    measured: list[Detections3D] = []
+
+    def listening(labels: Any, detections: list[Detections3D], classes: tuple[str, ...]) -> Any:
+        measured[:] = detections
+        return evaluate(labels, detections, classes)
+
+    monkeypatch.setattr("edge.training.validation.evaluate", listening)
+    assert chosen.depth_refinement
+    centers = {}
+    for refines in (True, False):
+        validate = Validation(
+            detector,
+            replace(chosen, depth_refinement=refines),
+            priors,
+            frames=frames,
+            run_dir=tmp_path,
+            metadata={},
+        )
+        validate(detector.state_dict() | {"certainty": torch.ones(())}, 1)
+        centers[refines] = [found.center_in_camera for found in measured]
+    found = replace(measured[2], center_in_camera=centers[False][2])
+    assert len(found) > 0
+    expected = refine_depths(found, frames[2].left, frames[2].right, frames[2].geometry).center_in_camera
+    np.testing.assert_array_equal(centers[True][2], expected)
+    assert not np.array_equal(centers[True][2], centers[False][2])
 
 
 @pytest.mark.device

@@ -1,0 +1,38 @@
+"""Boxes of a bundled model's outputs: what is asked for must not change what is found."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from importlib.resources import files
+
+import numpy as np
+
+from edge.samples import measuring_source
+from runtime.detector import Detector, open_detector
+from runtime.sources.base import as_sequence
+from runtime.sources.factory import open_source
+
+FRAMES_WITH_HIDERS = (44, 46)
+"""Of the bundled drive, with something of a score between 0.5 and 0.8 before a surer car."""
+
+
+def test_a_higher_score_leaves_boxes_out_and_moves_none() -> None:
+    model = str(files("edge.zoo") / "compact-int8")
+    with as_sequence(open_source(measuring_source())) as source, open_detector(model, threads=1) as detector:
+        for index in FRAMES_WITH_HIDERS:
+            most, _ = detector(source[index], score=0.5)
+            few, _ = detector(source[index], score=0.8)
+            kept = most.select(most.score > 0.8)
+            assert 0 < len(kept) < len(most)
+            np.testing.assert_array_equal(few.center_in_camera, kept.center_in_camera)
+
+
+def test_without_refinement_boxes_stay_as_they_were_decoded() -> None:
+    model = str(files("edge.zoo") / "compact-int8")
+    with as_sequence(open_source(measuring_source())) as source, open_detector(model, threads=1) as detector:
+        frame = source[FRAMES_WITH_HIDERS[0]]
+        moved, _ = detector(frame)
+        manifest = replace(detector.manifest, depth_refinement=False)
+        plain, _ = Detector(replace(detector.directory, manifest=manifest), detector.session)(frame)
+    np.testing.assert_array_equal(plain.box_in_left_image, moved.box_in_left_image)
+    assert np.abs(plain.center_in_camera[:, 2] - moved.center_in_camera[:, 2]).max() > 0.1
