@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Optional
 
@@ -31,7 +32,9 @@ def train_command(
     ] = None,
     priors: Annotated[
         Optional[Path],  # noqa: UP045
-        typer.Option(help="Anchor priors from `edge priors`; computed from the datasets where not given."),
+        typer.Option(
+            help="Anchor priors from `edge priors`; else KITTI's for paper and mono on KITTI's rig, or the datasets'."
+        ),
     ] = None,
     backbone: Annotated[
         Optional[Path],  # noqa: UP045
@@ -43,13 +46,16 @@ def train_command(
     ] = None,
     steps: Annotated[
         Optional[int],  # noqa: UP045
-        typer.Option(min=1, help="Optimisation steps of the whole run; the preset's epochs, else 10000, if not given."),
+        typer.Option(
+            min=1,
+            help="Steps of the whole run; else what it had with --resume, the preset's epochs, or 10000.",
+        ),
     ] = None,
     epochs: Annotated[
         Optional[int],  # noqa: UP045
         typer.Option(min=1, help="Length of the run in epochs, instead of --steps."),
     ] = None,
-    cooldown: Annotated[int, typer.Option(help="Last steps, over which the learning rate falls (hold).")] = 1000,
+    cooldown: Annotated[int, typer.Option(min=0, help="Last steps, over which the learning rate falls (hold).")] = 1000,
     warmup: Annotated[
         Optional[int],  # noqa: UP045
         typer.Option(min=0, help="First steps, over which it rises; 100 with hold, else 0, if not given."),
@@ -63,7 +69,7 @@ def train_command(
         typer.Option(min=1, help="Pairs a step, of all processes together; the preset's where not given."),
     ] = None,
     learning_rate: Annotated[Optional[float], typer.Option(help="Peak; the preset's where not given.")] = None,  # noqa: UP045
-    workers: Annotated[int, typer.Option(help="Processes that read frames.")] = 1,
+    workers: Annotated[int, typer.Option(min=0, help="Processes that read frames.")] = 1,
     device: Annotated[str, typer.Option(help="cpu or cuda.")] = "cpu",
     precision: Annotated[
         str, typer.Option(help="auto, bf16 or float32; auto is bf16 where the hardware has it.")
@@ -110,8 +116,11 @@ def train_command(
     validate_every: Annotated[
         int, typer.Option(min=0, help="Steps between validations; 0 validates after each epoch.")
     ] = 0,
-    seed: Annotated[int, typer.Option(help="Seed of weights, order and augmentation.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of weights, order and augmentation.")] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the run's checkpoint.")] = False,
+    before_cooldown: Annotated[
+        bool, typer.Option("--before-cooldown", help="With --resume: go on from before the run's cooldown.")
+    ] = False,
     config: Annotated[
         Optional[Path],  # noqa: UP045
         typer.Option(
@@ -142,12 +151,13 @@ def train_command(
     from edge.training.frame_changes import frame_changes
     from edge.training.loop import train
     from edge.training.methods import with_method
+    from edge.training.origin import origin_record, priors_origin, start_notes
     from edge.training.precision import wants_mixed_precision
     from edge.training.rig import rig_metadata, with_rig_of_data
-    from edge.training.run_record import RunSettings, check_same_run, write_settings
+    from edge.training.run_record import RunSettings, check_same_run, length_before, write_settings
     from edge.training.samples import SampleMaker
     from edge.training.schedule import schedule_kind
-    from edge.training.start import check_device, keep_priors, open_run, run_priors, run_steps
+    from edge.training.start import check_device, check_unlabelled, keep_priors, open_run, run_priors, run_steps
     from edge.training.stream import MixedFrames
     from edge.training.validation import Validation
     from runtime.contracts.errors import CheckpointError, EdgeError
@@ -164,7 +174,10 @@ def train_command(
         )
     kind = schedule_kind(schedule or chosen.training.schedule)
     batch_size = batch or chosen.training.batch_size
+    if learning_rate is not None and not 0.0 < learning_rate < math.inf:
+        raise EdgeError(f"--learning-rate is {learning_rate:g}, expected more than 0; leave it out for the preset's")
     check_device(device)
+    check_unlabelled(chosen, unlabelled or [])
     ranks = ranks_of_environment()
     ranks.share_of(batch_size)
     sources = [open_sequence(uri) for uri in dataset]
@@ -172,9 +185,12 @@ def train_command(
     without_labels = [open_sequence(uri) for uri in unlabelled or []]
     changes = frame_changes(chosen, sources, method=method, paste=paste, zoom=zoom, faults=faults)
     measured = open_sequence(validation) if validation is not None else None
-    first_step = 0
+    first_step, origin = 0, ""
     if ranks.writes:  # before the others join: what is wrong is said once
-        first_step = open_run(out, resume=resume)
+        first_step = open_run(out, resume=resume, before_cooldown=before_cooldown)
+        if resume:
+            check_same_run(out, chosen, seed=seed, batch_size=batch_size)
+        origin = priors_origin(out, chosen, priors)
         run_priors(out, chosen, sources, given=priors)
     with process_group(device) as (ranks, own_device):
         wait_for_all(ranks)
@@ -195,7 +211,15 @@ def train_command(
             changes=changes,
             unlabelled=without_labels,
         )
-        length = run_steps(chosen, steps=steps, epochs=epochs, epoch_samples=frames.epoch_length, batch_size=batch_size)
+        length = run_steps(
+            chosen,
+            steps=steps,
+            epochs=epochs,
+            epoch_samples=frames.epoch_length,
+            batch_size=batch_size,
+            before=length_before(out) if resume else None,
+            done=first_step,
+        )
         settings = RunSettings(
             steps=length,
             batch_size=batch_size,
@@ -218,8 +242,6 @@ def train_command(
             unlabelled=tuple(unlabelled or ()),
             validate_every=validate_every or max(1, frames.epoch_length // batch_size),
         )
-        if resume:
-            check_same_run(out, chosen, settings)
         metadata = {
             "preset": chosen.name,
             "method": method or "preset",
@@ -241,9 +263,12 @@ def train_command(
             )
         wait_for_all(ranks)
         if ranks.writes:  # from here on the folder is a run's
-            write_settings(out, chosen, settings, dict(zip(dataset, weights, strict=True)))
+            record = origin_record(method=method, priors=origin, start=start, backbone=backbone, validation=validation)
+            write_settings(out, chosen, settings, dict(zip(dataset, weights, strict=True)), origin=record)
             keep_priors(out)
-        with TrainProgress(settings, samples=frames.epoch_length, shown=ranks.writes) as progress:
+        progress = TrainProgress(settings, samples=frames.epoch_length, shown=ranks.writes)
+        progress.tell(f"priors: {origin}", *(f"note: {text}" for text in start_notes(start, chosen, tables)))
+        with progress:
             average = train(
                 detector,
                 chosen,

@@ -14,7 +14,20 @@ from typing import Any
 from runtime.contracts.errors import EdgeError
 
 STAGES_KEY = "stages"
-_NOT_IN_FILES = ("config", "resume", "help")
+_NOT_IN_FILES = ("config", "resume", "before_cooldown", "help")
+_OF_THE_WHOLE_RUN = (
+    "preset",
+    "method",
+    "ablate",
+    "freeze_backbone",
+    "batch",
+    "seed",
+    "priors",
+    "start",
+    "backbone",
+    "out",
+)
+"""What a run keeps from its start, so that no stage may have its own."""
 
 
 def read_config(context: Any, parameter: Any, file: Path | None) -> Path | None:
@@ -39,7 +52,7 @@ def stages_to_run(context: Any, out: Path, *, resume: bool) -> list[Any]:
         resume: a checkpoint in ``out`` says what is done.
 
     Raises:
-        EdgeError: every stage is done, or the command line gives a length, too.
+        EdgeError: every stage is done, or the command line gives a length or goes back.
     """
     stages = context.meta.pop(STAGES_KEY, [])
     if not stages:
@@ -49,6 +62,8 @@ def stages_to_run(context: Any, out: Path, *, resume: bool) -> list[Any]:
         for option in context.command.params
         if option.name not in _NOT_IN_FILES and _from_command_line(context, option.name)
     }
+    if context.params["before_cooldown"]:
+        raise EdgeError("found --before-cooldown beside stages, expected a run without them; leave one out")
     if "steps" in given or "epochs" in given:
         raise EdgeError("found --steps or --epochs on the command line, expected none beside stages; change the file")
     done = _steps_done(out) if resume else 0
@@ -79,6 +94,12 @@ def _options(command: Any, file: Path) -> tuple[dict[str, Any], list[dict[str, A
     for number, stage in enumerate(tables[1:], start=1):
         if not isinstance(stage.get("steps"), int):
             raise EdgeError(f"{file}: stage {number} has no steps, expected the step until which it goes")
+        for key in _OF_THE_WHOLE_RUN:
+            if key in stage:
+                raise EdgeError(
+                    f"{file}: stage {number} has its own {key}, which a run keeps from its start; "
+                    f"write it above the [[{STAGES_KEY}]]"
+                )
     lengths = [stage["steps"] for stage in tables[1:]]
     if lengths != sorted(set(lengths)):
         raise EdgeError(f"{file}: stages end at steps {lengths}, expected each later than the one before")

@@ -40,6 +40,11 @@ class TrainProgress:
         """Takes it away."""
         self._bar.stop()
 
+    def tell(self, *lines: str) -> None:
+        """Say something before the bar."""
+        for line in lines:
+            self._console.print(line, highlight=False, markup=False, soft_wrap=True)
+
     def step(self, step: int, losses: dict[str, float]) -> None:
         """Move on."""
         total = losses["class_loss"] + losses["box_loss"]

@@ -12,7 +12,9 @@ from torch import nn
 from edge.training.distributed import Ranks, gathered
 from runtime.contracts.errors import CheckpointError
 
-CHECKPOINT_FILE = "checkpoint.pt"
+CHECKPOINT_FILE, HOLD_CHECKPOINT_FILE = "checkpoint.pt", "checkpoint-hold.pt"
+COOLED_CHECKPOINT_FILE = "checkpoint-cooled.pt"
+"""What `back_to_hold` puts aside."""
 
 
 class AveragedModel:
@@ -69,6 +71,21 @@ def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
     beside = path.with_name(path.name + ".part")
     torch.save(state, beside)
     beside.replace(path)
+
+
+def back_to_hold(run_dir: Path) -> None:
+    """Let a run go on from before its cooldown; the checkpoint that it had lies beside as ``checkpoint-cooled.pt``.
+
+    Raises:
+        CheckpointError: the run kept none, since it has had no cooldown.
+    """
+    hold, now = run_dir / HOLD_CHECKPOINT_FILE, run_dir / CHECKPOINT_FILE
+    if not hold.is_file():
+        raise CheckpointError(
+            f"{hold} is not there, expected the checkpoint from before a cooldown; leave --before-cooldown out"
+        )
+    save_checkpoint(run_dir / COOLED_CHECKPOINT_FILE, load_checkpoint(now))
+    save_checkpoint(now, load_checkpoint(hold))
 
 
 def load_checkpoint(path: Path) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from torch import nn
 from edge.detector.presets import Preset
 from edge.training.checkpoint import (
     CHECKPOINT_FILE,
+    HOLD_CHECKPOINT_FILE,
     AveragedModel,
     load_checkpoint,
     random_state,
@@ -27,8 +28,6 @@ from edge.training.run_record import RunSettings
 from edge.training.schedule import Schedule
 from edge.training.step import train_step
 from edge.training.stream import MixedFrames, batches
-
-HOLD_CHECKPOINT_FILE = "checkpoint-hold.pt"
 
 
 def train(
@@ -45,7 +44,7 @@ def train(
 ) -> AveragedModel:
     """Run to ``settings.steps``, writing checkpoint, ``log.csv`` and event files into ``run_dir``.
 
-    A checkpoint is kept, too, from just before the cooldown (``checkpoint-hold.pt``): a later run can go on from it.
+    A checkpoint is kept, too, from just before the cooldown (``checkpoint-hold.pt``), see `back_to_hold`.
 
     Args:
         detector: the network; its weights are where the run starts.

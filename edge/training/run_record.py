@@ -67,10 +67,18 @@ class RunSettings:
     unlabelled: tuple[str, ...] = ()
 
 
-def write_settings(run_dir: Path, preset: Preset, settings: RunSettings, datasets: dict[str, int]) -> None:
+def write_settings(
+    run_dir: Path, preset: Preset, settings: RunSettings, datasets: dict[str, int], *, origin: dict[str, Any]
+) -> None:
     """Write all that is needed to repeat the run into ``run.json``, a stage for each start of the run.
 
     A resumed run may change its length, its datasets or its schedule: the stages say from which step on.
+
+    Args:
+        run_dir: the run's folder.
+        preset, settings: of this stage.
+        datasets: how often an epoch shows each.
+        origin: what it began with, by name: method, priors, weights and their hashes, what it is validated on.
     """
     file = run_dir / SETTINGS_FILE
     record = json.loads(file.read_text()) if file.exists() else {"preset": _plain(preset), "stages": []}
@@ -79,6 +87,7 @@ def write_settings(run_dir: Path, preset: Preset, settings: RunSettings, dataset
         "from_step": int(load_checkpoint(checkpoint)["step"]) if checkpoint.exists() else 0,
         "settings": asdict(settings),
         "datasets": datasets,
+        "origin": origin,
         "torch": torch.__version__,
     }
     if _plain(preset) != record["preset"]:  # fields that a later version of the preset added
@@ -87,7 +96,16 @@ def write_settings(run_dir: Path, preset: Preset, settings: RunSettings, dataset
     file.write_text(json.dumps(record, indent=2) + "\n")
 
 
-def check_same_run(run_dir: Path, preset: Preset, settings: RunSettings) -> None:
+def length_before(run_dir: Path) -> int:
+    """Steps that the run in a folder was to have when it was last started.
+
+    Raises:
+        CheckpointError: ``run.json`` is missing or describes no run.
+    """
+    return int(_last_record(run_dir)[1]["steps"])
+
+
+def check_same_run(run_dir: Path, preset: Preset, *, seed: int, batch_size: int) -> None:
     """Refuse to resume a run of another preset, seed or batch size: its samples would not be the ones it saw.
 
     Fields that a preset did not have when the run began are passed over.
@@ -95,29 +113,39 @@ def check_same_run(run_dir: Path, preset: Preset, settings: RunSettings) -> None
     Raises:
         CheckpointError: ``run.json`` is missing, or names another preset, seed or batch size.
     """
+    known, earlier = _last_record(run_dir)
+    differences = [
+        *_differences(known, _plain(preset), "preset"),
+        *_differences(int(earlier["seed"]), seed, "--seed"),
+        *_differences(int(earlier["batch_size"]), batch_size, "--batch"),
+    ]
+    for what, before, now in differences:
+        raise CheckpointError(
+            f"{run_dir} was started with {what} {before}, found {now}, expected the same to resume; "
+            "give what it was started with, or start a new run"
+        )
+
+
+def _last_record(run_dir: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The run's preset, and the settings of its last stage."""
     file = run_dir / SETTINGS_FILE
     try:
         record = json.loads(file.read_text())
-        earlier = record["stages"][-1]["settings"]
-        before = (record["preset"], earlier["seed"], earlier["batch_size"])
+        settings = record["stages"][-1]["settings"]
+        int(settings["steps"]), int(settings["seed"]), int(settings["batch_size"])
+        return dict(record["preset"]), dict(settings)
     except (OSError, ValueError, KeyError, IndexError, TypeError):
         raise CheckpointError(
             f"{file} does not describe a run, expected one of `edge train`; start a new run"
         ) from None
-    now = (_restricted(_plain(preset), before[0]), settings.seed, settings.batch_size)
-    for what, old, new in zip(("preset", "--seed", "--batch"), before, now, strict=True):
-        if old != new:
-            raise CheckpointError(
-                f"{run_dir} was started with another {what}, expected the same to resume; "
-                "give what it was started with, or start a new run"
-            )
 
 
-def _restricted(value: Any, known: Any) -> Any:
-    """``value`` without the keys that ``known`` lacks, at every depth."""
-    if isinstance(value, dict) and isinstance(known, dict):
-        return {key: _restricted(item, known[key]) for key, item in value.items() if key in known}
-    return value
+def _differences(before: Any, now: Any, where: str) -> list[tuple[str, Any, Any]]:
+    """Where, what was, what is: of all that ``before`` knows."""
+    if isinstance(before, dict) and isinstance(now, dict):
+        inner = [_differences(value, now.get(key), f"{where}.{key}") for key, value in before.items()]
+        return [item for items in inner for item in items]
+    return [] if before == now else [(where, before, now)]
 
 
 def _plain(preset: Preset) -> Any:

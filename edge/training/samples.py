@@ -41,12 +41,14 @@ class Sample:
         left, right: (3, H, W) float32, normalised RGB; a mono preset has no right view.
         targets: what the anchors learn.
         disparity: (H / 4, W / 4) float32 network pixels, 0 unknown; None for a mono preset.
+        labelled: False where what stands in the picture is not known: disparity alone teaches.
     """
 
     left: NDArray[np.float32]
     right: NDArray[np.float32] | None
     targets: AnchorTargets
     disparity: NDArray[np.float32] | None
+    labelled: bool = True
 
 
 class SampleMaker:

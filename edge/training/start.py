@@ -9,7 +9,7 @@ from pathlib import Path
 import torch
 
 from edge.detector.presets import Preset
-from edge.training.checkpoint import CHECKPOINT_FILE, load_checkpoint
+from edge.training.checkpoint import CHECKPOINT_FILE, back_to_hold, load_checkpoint
 from edge.training.labelled_views import labelled_views
 from edge.training.priors import anchor_statistics
 from edge.training.run_record import SETTINGS_FILE
@@ -35,8 +35,26 @@ def check_device(device: str) -> None:
         raise EdgeError("--device cuda finds no GPU, expected one with a CUDA build of torch; use --device cpu")
 
 
-def open_run(out: Path, *, resume: bool) -> int:
+def check_unlabelled(preset: Preset, uris: Sequence[str]) -> None:
+    """Refuse frames that teach disparity alone where nothing learns disparity.
+
+    Raises:
+        EdgeError: the preset is mono, or an ablation took its disparity supervision away.
+    """
+    if uris and (preset.views == 1 or preset.training.disparity_source == "none"):
+        raise EdgeError(
+            f"--unlabelled {uris[0]} with preset {preset.name}, which learns no disparity, expected one that does; "
+            "leave it out"
+        )
+
+
+def open_run(out: Path, *, resume: bool, before_cooldown: bool = False) -> int:
     """Make the run's folder, or look into it. What a start that failed left there is taken away by a new run.
+
+    Args:
+        out: the folder.
+        resume: go on from its checkpoint.
+        before_cooldown: from the one before its cooldown.
 
     Returns:
         The step that the run goes on from.
@@ -44,7 +62,12 @@ def open_run(out: Path, *, resume: bool) -> int:
     Raises:
         OutputError: the folder holds something and the run is new, or it cannot be made.
         CheckpointError: ``resume`` without a checkpoint.
+        EdgeError: ``before_cooldown`` without ``resume``.
     """
+    if before_cooldown and not resume:
+        raise EdgeError("--before-cooldown goes on with a run that there is, expected --resume beside it; add it")
+    if before_cooldown:
+        back_to_hold(out)
     if resume:
         return int(load_checkpoint(out / CHECKPOINT_FILE)["step"])
     try:
@@ -100,16 +123,35 @@ def keep_priors(out: Path) -> None:
         (out / UNKEPT_PRIORS_FILE).replace(out / PRIORS_FILE)
 
 
-def run_steps(preset: Preset, *, steps: int | None, epochs: int | None, epoch_samples: int, batch_size: int) -> int:
-    """Length of the run: what was asked for, else the preset's epochs, else `DEFAULT_STEPS`.
+def run_steps(
+    preset: Preset,
+    *,
+    steps: int | None,
+    epochs: int | None,
+    epoch_samples: int,
+    batch_size: int,
+    before: int | None = None,
+    done: int = 0,
+) -> int:
+    """Length of the run: what was asked for, else what it was before, else the preset's epochs or `DEFAULT_STEPS`.
+
+    Args:
+        preset: to train.
+        steps, epochs: what was asked for.
+        epoch_samples, batch_size: what makes epochs steps.
+        before: length of the run that is resumed.
+        done: steps of it.
 
     Raises:
-        EdgeError: both were asked for.
+        EdgeError: both were asked for, or less than is done.
     """
     if steps is not None and epochs is not None:
         raise EdgeError(f"--steps {steps} and --epochs {epochs} both give the length, expected one; leave one out")
     if steps is None and epochs is None:
-        epochs = preset.training.epochs
-    if epochs is not None:
-        return steps_of(epochs, epoch_samples=epoch_samples, batch_size=batch_size)
-    return DEFAULT_STEPS if steps is None else steps
+        steps, epochs = before, preset.training.epochs
+    if steps is None and epochs is not None:
+        steps = steps_of(epochs, epoch_samples=epoch_samples, batch_size=batch_size)
+    steps = DEFAULT_STEPS if steps is None else steps
+    if steps < done:
+        raise EdgeError(f"a length of {steps} steps, but the run has done {done}, expected at least those; give more")
+    return steps

@@ -36,8 +36,8 @@ def train_step(
 ) -> dict[str, float]:
     """One optimisation step.
 
-    A batch in which nothing teaches (no objects, and a class loss that skips such images) changes nothing: its
-    gradients are zero, and Adam's memory alone would move the weights.
+    A batch in which nothing teaches (labelled, no objects, and a class loss that skips such images) changes nothing:
+    its gradients are zero, and Adam's memory alone would move the weights.
 
     Args:
         detector: the network; its modes are set.
@@ -59,7 +59,10 @@ def train_step(
     logits, deltas = logits.float(), deltas.float()
     weights = logits.new_tensor(preset.training.class_weights)
     training = preset.training
-    own = {"objects": SHARE_OFFSET + sum(float(target.object_count) for target in batch.targets)}
+    own = {
+        "objects": SHARE_OFFSET + sum(float(target.object_count) for target in batch.targets),
+        "unlabelled": float(batch.unlabelled),
+    }
     if disparity is not None and batch.disparity is not None:
         own["matched"] = valid_pixels(batch.disparity, disparity.shape[1])
     joint = joint_sum(own, ranks, device)
@@ -90,7 +93,8 @@ def train_step(
         {"class_loss": classes, "box_loss": boxes, "disparity_loss": disparities}, ranks=ranks, device=device
     )
     total = classes + boxes
-    teaches_disparity = losses["box_loss"] != 0  # official: an object-free batch does not teach disparity
+    # official: a batch without objects does not teach disparity; frames that are there to teach it always do
+    teaches_disparity = losses["box_loss"] != 0 or joint["unlabelled"] > 0
     if teaches_disparity:
         total = total + training.disparity_weight * disparities
     elif ranks.count > 1:

@@ -27,12 +27,18 @@ from runtime.sources.base import FrameSequence
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """A batch on its way to the device; a mono preset's has neither right views nor disparities."""
+    """A batch on its way to the device; a mono preset's has neither right views nor disparities.
+
+    Attributes:
+        left, right, disparity, targets: the samples'.
+        unlabelled: how many of them teach disparity alone.
+    """
 
     left: torch.Tensor
     right: torch.Tensor | None
     disparity: torch.Tensor | None
     targets: list[ImageTargets]
+    unlabelled: int = 0
 
     def to(self, device: torch.device) -> Batch:
         """The same on another device; images channels-last."""
@@ -51,7 +57,8 @@ class Batch:
             for x in (self.left, self.right)
         )
         assert left is not None
-        return Batch(left, right, None if self.disparity is None else self.disparity.to(device), move)
+        disparity = None if self.disparity is None else self.disparity.to(device)
+        return Batch(left, right, disparity, move, self.unlabelled)
 
 
 class MixedFrames(Dataset[Sample]):
@@ -123,7 +130,7 @@ class MixedFrames(Dataset[Sample]):
 def _without_classes(sample: Sample) -> Sample:
     """A sample whose anchors teach nothing: what stands in the picture is not known."""
     ignored = np.full_like(sample.targets.label, IGNORED)
-    return replace(sample, targets=replace(sample.targets, label=ignored))
+    return replace(sample, targets=replace(sample.targets, label=ignored), labelled=False)
 
 
 class Positions(Sampler[int]):
@@ -182,7 +189,8 @@ def collate(samples: list[Sample]) -> Batch:  # type: ignore[type-arg]
     for name in ("left", "right", "disparity"):
         arrays = [getattr(sample, name) for sample in samples]
         stacked[name] = None if arrays[0] is None else torch.from_numpy(np.stack(arrays))
-    return Batch(**stacked, targets=targets)  # type: ignore[arg-type]
+    unlabelled = sum(not sample.labelled for sample in samples)
+    return Batch(**stacked, targets=targets, unlabelled=unlabelled)  # type: ignore[arg-type]
 
 
 def _single_threaded(_: int) -> None:

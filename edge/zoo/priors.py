@@ -59,9 +59,11 @@ def uses_bundled_priors(preset: Preset, checkpoint: Path, given: Path | None) ->
 
 
 def bundled_priors(preset: Preset) -> Path | None:
-    """The package's own table for a preset, ablated or not; None where there is none for its classes and anchors.
+    """The package's own table for a preset, ablated or not; None where there is none for it.
 
-    Its licence is KITTI's, CC BY-NC-SA 3.0, which a model that is made with it inherits.
+    Classes, anchors, crop and rig must be those that the table was made for: which depth an anchor of some size stands
+    for hangs on the focal length that it is seen with. Its licence is KITTI's, CC BY-NC-SA 3.0, which a model that is
+    made with it inherits.
     """
     name = preset.name.partition("+")[0]
     if name not in BUNDLED:
@@ -71,6 +73,7 @@ def bundled_priors(preset: Preset) -> Path | None:
     same_shapes = all(getattr(layout, part) == getattr(own, part) for part in SHAPE_FIELDS)
     same = same_shapes and preset.classes == original.classes
     same = same and (preset.input_size_hw, preset.crop) == (original.input_size_hw, original.crop)
+    same = same and preset.rig == original.rig
     return Path(str(files("edge.zoo"))) / BUNDLED[name] if same else None
 
 

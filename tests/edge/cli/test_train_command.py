@@ -16,7 +16,7 @@ import typer
 from runtime.contracts.errors import OutputError
 from runtime.contracts.geometry import StereoGeometry
 from runtime.contracts.kitti import format_calib
-from runtime.contracts.manifest import AnchorPriors, write_priors
+from runtime.contracts.manifest import AnchorPriors, file_sha256, write_priors
 
 torch = pytest.importorskip("torch", reason="the torch workbench is not installed")
 
@@ -140,6 +140,12 @@ def test_average_of_decay_zero_saves_the_last_weights(drive: str, tiny: Preset, 
         (["--device", "tpu"], "expected cpu or cuda"),
         (["--repeat", "1", "--repeat", "2"], "expected at most one each"),
         (["--resume"], "without --resume"),
+        (["--learning-rate", "0"], "expected more than 0"),
+        (["--seed", "-1"], "--seed"),
+        (["--workers", "-1"], "--workers"),
+        (["--cooldown", "-1"], "--cooldown"),
+        (["--before-cooldown"], "expected --resume beside it"),
+        (["--ablate", "no-disparity-supervision", "--unlabelled", "frames:any"], "learns no disparity"),
     ],
 )
 def test_wrong_input_is_one_line(
@@ -215,3 +221,48 @@ def test_what_may_be_begun_anew_and_what_may_not(tmp_path: Path) -> None:
         open_run(tmp_path, resume=False)
     with pytest.raises(OutputError, match="cannot be made"):
         open_run(tmp_path / "checkpoint.pt" / "run", resume=False)
+
+
+def test_a_resumed_run_keeps_its_length_and_goes_back_before_its_cooldown(
+    drive: str, priors: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "run"
+    assert train(drive, out, "--steps", 3, "--cooldown", 2, "--priors", priors) == 0
+    assert f"priors: {priors}" in capsys.readouterr().err
+    assert train(drive, out, "--resume", "--steps", 2) == 2
+    assert "has done 3" in capsys.readouterr().err
+    assert train(drive, out, "--resume", "--freeze-backbone", 4) == 2
+    assert "training.frozen_backbone_parts" in capsys.readouterr().err
+    assert train(drive, out, "--resume", "--before-cooldown", "--cooldown", 2) == 0
+    assert torch.load(out / "checkpoint-cooled.pt", weights_only=True)["step"] == 3
+    assert torch.load(out / "checkpoint.pt", weights_only=True)["step"] == 3
+    stages = json.loads((out / "run.json").read_text())["stages"]
+    assert [(stage["from_step"], stage["settings"]["steps"]) for stage in stages] == [(0, 3), (1, 3)]
+    assert [row.split(",")[0] for row in (out / "log.csv").read_text().splitlines()[1:]] == ["3"]
+    bare = tmp_path / "bare"
+    assert train(drive, bare, "--steps", 1, "--cooldown", 0, "--priors", priors) == 0
+    assert train(drive, bare, "--resume", "--before-cooldown") == 2
+    assert "checkpoint-hold.pt is not there" in capsys.readouterr().err
+
+
+def test_a_run_says_what_it_starts_from(
+    drive: str, tiny: Preset, priors: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first, second = tmp_path / "first", tmp_path / "second"
+    assert train(drive, first, "--steps", 1, "--priors", priors) == 0
+    shape = (len(tiny.classes), tiny.anchors.scale_count, len(tiny.anchors.ratios), 6)
+    write_priors(tmp_path / "other.npz", tiny.classes, AnchorPriors(np.ones(shape, "f4"), np.ones(shape, "f4")))
+    start, validation = first / "weights.safetensors", f"{drive}?limit=3"
+    given = ("--start", start, "--steps", 1, "--validation", validation)
+    capsys.readouterr()
+    assert train(drive, second, *given, "--priors", tmp_path / "other.npz", "--ablate", "no-disparity-supervision") == 0
+    told = capsys.readouterr().err
+    assert "was trained with other priors" in told and "the same ablations" in told
+    origin = json.loads((second / "run.json").read_text())["stages"][0]["origin"]
+    assert origin == {
+        "method": "preset",
+        "priors": str(tmp_path / "other.npz"),
+        "start": str(start),
+        "start_sha256": file_sha256(start),
+        "validation": validation,
+    }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 from types import ModuleType
 
@@ -13,12 +14,17 @@ from hypothesis import strategies as st
 
 torch = pytest.importorskip("torch", reason="the torch workbench is not installed")
 
+from edge.detector.ablations import ablated  # noqa: E402
+from edge.detector.network import StereoDetector  # noqa: E402
 from edge.detector.presets import preset  # noqa: E402
 from edge.training.assign import BACKGROUND, IGNORED  # noqa: E402
 from edge.training.camera_faults import ViewFaults, draw_faults, with_faults  # noqa: E402
 from edge.training.frame_changes import FrameChanges, frame_changes  # noqa: E402
 from edge.training.losses import ImageTargets, box_loss, class_loss  # noqa: E402
+from edge.training.run_record import RunSettings  # noqa: E402
 from edge.training.samples import SampleMaker  # noqa: E402
+from edge.training.start import check_unlabelled  # noqa: E402
+from edge.training.step import train_step  # noqa: E402
 from edge.training.stream import MixedFrames, collate  # noqa: E402
 from edge.training.zoom import Zoom, draw_zoom, zoomed, zoomed_geometry, zoomed_objects  # noqa: E402
 from runtime.contracts.errors import EdgeError, SourceError  # noqa: E402
@@ -210,3 +216,31 @@ def test_unlabelled_frames_teach_disparity_alone(toy: ModuleType) -> None:
     targets: list[ImageTargets] = batch.targets
     assert class_loss(logits, targets, torch.ones(3), empty_images_teach=True).item() == 0
     assert box_loss(logits[..., 0], torch.zeros(*logits.shape[:2], 12), targets).item() == 0
+
+
+def test_a_batch_of_unlabelled_frames_moves_the_weights(toy: ModuleType) -> None:
+    chosen, frames = toy.tiny_preset(), toy.DrawnFrames()
+    mixed = MixedFrames([frames], [1], maker=SampleMaker(chosen, toy.plain_priors(chosen)), seed=1, unlabelled=[frames])
+    samples = [mixed[position] for position in range(mixed.epoch_length)]
+    unlabelled = collate([sample for sample in samples if not sample.labelled][:2])
+    assert unlabelled.unlabelled == 2
+    run = RunSettings(steps=1, batch_size=2, learning_rate=1e-3, final_learning_rate=1e-5, mixed_precision=False)
+    moved = {}
+    for name, batch in (("unlabelled", unlabelled), ("empty", replace(unlabelled, unlabelled=0))):
+        detector = StereoDetector(chosen)
+        before = copy.deepcopy(dict(detector.named_parameters()))
+        optimiser = torch.optim.Adam(detector.parameters(), lr=run.learning_rate)
+        train_step(detector, chosen, batch, optimiser=optimiser, settings=run)
+        moved[name] = [key for key, value in detector.named_parameters() if not torch.equal(value, before[key])]
+    assert any("disparity_branch" in name for name in moved["unlabelled"])
+    assert any("backbone" in name for name in moved["unlabelled"])
+    assert not any("head" in name for name in moved["unlabelled"])
+    assert moved["empty"] == []  # as the official code does with labelled frames that show no object
+
+
+def test_unlabelled_frames_need_a_preset_that_learns_disparity() -> None:
+    for chosen in (preset("mono"), ablated(preset("compact"), ["no-disparity-supervision"])):
+        check_unlabelled(chosen, [])
+        with pytest.raises(EdgeError, match="learns no disparity"):
+            check_unlabelled(chosen, ["frames:drive"])
+    check_unlabelled(preset("compact"), ["frames:drive"])

@@ -170,6 +170,10 @@ def test_length_of_a_run(toy: ModuleType) -> None:
     assert run_steps(paper, steps=None, epochs=None, **given) == 125
     with pytest.raises(EdgeError, match="leave one out"):
         run_steps(chosen, steps=7, epochs=2, **given)
+    assert run_steps(paper, steps=None, epochs=None, before=30, done=30, **given) == 30  # a resumed run keeps its own
+    assert run_steps(chosen, steps=40, epochs=None, before=30, done=30, **given) == 40
+    with pytest.raises(EdgeError, match="has done 30"):
+        run_steps(chosen, steps=29, epochs=None, before=30, done=30, **given)
 
 
 def test_precision_words() -> None:
@@ -180,17 +184,18 @@ def test_precision_words() -> None:
 
 def test_preset_with_fields_added_since_is_the_same_run(toy: ModuleType, tmp_path: Path) -> None:
     chosen = toy.tiny_preset()
-    write_settings(tmp_path, chosen, SETTINGS, {"a": 1})
+    write_settings(tmp_path, chosen, SETTINGS, {"a": 1}, origin={"method": "preset"})
     file = tmp_path / "run.json"
     record = json.loads(file.read_text())
     del record["preset"]["training"]["epochs"], record["stages"][0]["settings"]["average_decay"]
     file.write_text(json.dumps(record))
-    check_same_run(tmp_path, chosen, SETTINGS)
-    write_settings(tmp_path, chosen, SETTINGS, {"a": 1})
+    known = {"seed": SETTINGS.seed, "batch_size": SETTINGS.batch_size}
+    check_same_run(tmp_path, chosen, **known)
+    write_settings(tmp_path, chosen, SETTINGS, {"a": 1}, origin={"method": "preset"})
     assert json.loads(file.read_text())["stages"][1]["preset"] == json.loads(json.dumps(asdict(chosen)))
     other = replace(chosen, training=replace(chosen.training, z_weight=1.0))
-    with pytest.raises(EdgeError, match="another preset"):
-        check_same_run(tmp_path, other, SETTINGS)
+    with pytest.raises(EdgeError, match=r"with preset\.training\.z_weight 12\.0, found 1\.0"):
+        check_same_run(tmp_path, other, **known)
 
 
 def events_of(folder: Path) -> list[Any]:

@@ -106,6 +106,8 @@ def test_a_resumed_run_skips_what_is_done(file: Path, monkeypatch: pytest.Monkey
         ("stages = 3", "no list of tables"),
         ("[[stages]]\ncooldown = 3", "stage 1 has no steps"),
         ("[[stages]]\nsteps = 4\n[[stages]]\nsteps = 4", "each later"),
+        ("[[stages]]\nsteps = 4\nfreeze-backbone = 2", r"stage 1 has its own freeze_backbone.* above the \[\[stages"),
+        ("before-cooldown = true", "found before_cooldown"),
     ],
 )
 def test_a_wrong_file_is_told(file: Path, text: str, wrong: str) -> None:
@@ -119,13 +121,16 @@ def test_a_missing_file_and_steps_beside_stages_are_told(file: Path) -> None:
         parsed(file.with_name("none.toml"))
     with pytest.raises(EdgeError, match=r"--steps .* expected none beside stages"):
         stages(file, "--steps", "3")
+    with pytest.raises(EdgeError, match="--before-cooldown beside stages"):
+        stages(file, "--before-cooldown")
 
 
 def test_every_option_may_stand_in_a_file(file: Path) -> None:
-    names = set(inspect.signature(train_command).parameters) - {"context", "config", "resume"}
+    names = set(inspect.signature(train_command).parameters) - {"context", "config", "resume", "before_cooldown"}
     known = {option.name for option in command().params}
     assert names <= known
     for name in names:
-        file.write_text(f"[[stages]]\nsteps = 3\n{'' if name == 'steps' else name + ' = 1'}")
+        stages = "[[stages]]\nsteps = 3\n"
+        file.write_text(stages if name == "steps" else f"{name} = 1\n{stages}")
         with contextlib.suppress(typer.BadParameter.__mro__[2]):  # the required ones are missing here
             parsed(file)

@@ -13,11 +13,11 @@ import pytest
 torch = pytest.importorskip("torch", reason="the torch workbench is not installed")
 
 from edge.detector.network import StereoDetector  # noqa: E402
-from edge.detector.presets import HeadShape, NeckShape, NetworkShape, Preset, preset  # noqa: E402
+from edge.detector.presets import HeadShape, NeckShape, NetworkShape, Preset, preset, with_frozen_backbone  # noqa: E402
 from edge.detector.weights import PRIORS_KEY, check_priors, load_weights, priors_digest, save_weights  # noqa: E402
 from edge.training.ground_truth import alpha_of_yaw, mirror_geometry, mirror_objects, outline_boxes  # noqa: E402
 from edge.training.loop import train  # noqa: E402
-from edge.training.run_record import RunSettings, check_same_run, write_settings  # noqa: E402
+from edge.training.run_record import RunSettings, check_same_run, length_before, write_settings  # noqa: E402
 from edge.training.samples import SampleMaker  # noqa: E402
 from edge.training.schedule import Schedule  # noqa: E402
 from edge.training.stream import MixedFrames  # noqa: E402
@@ -165,12 +165,20 @@ def test_weights_know_their_priors(tmp_path: Path) -> None:
 def test_only_the_same_run_is_resumed(tmp_path: Path) -> None:
     chosen = small_preset()
     with pytest.raises(CheckpointError, match="does not describe a run"):
-        check_same_run(tmp_path, chosen, settings(8))
-    write_settings(tmp_path, chosen, settings(8), {"a": 1})
-    check_same_run(tmp_path, chosen, settings(99, workers=3))
-    for other, plan, word in ((chosen, settings(8, seed=9), "--seed"), (preset("compact"), settings(8), "preset")):
+        check_same_run(tmp_path, chosen, seed=0, batch_size=2)
+    write_settings(tmp_path, chosen, settings(8), {"a": 1}, origin={"method": "preset"})
+    assert length_before(tmp_path) == 8
+    known = {"seed": settings(8).seed, "batch_size": settings(8).batch_size}
+    check_same_run(tmp_path, chosen, **known)
+    frozen = with_frozen_backbone(chosen, 4)
+    for other, given, word in (
+        (chosen, known | {"seed": 9}, "--seed"),
+        (chosen, known | {"batch_size": 16}, "--batch"),
+        (preset("compact"), known, r"preset\.input_size_hw"),
+        (frozen, known, r"preset\.training\.frozen_backbone_parts"),
+    ):
         with pytest.raises(CheckpointError, match=word):
-            check_same_run(tmp_path, other, plan)
+            check_same_run(tmp_path, other, **given)
 
 
 def test_pickles_do_not_run(tmp_path: Path) -> None:

@@ -105,6 +105,7 @@ def test_bundled_tables_are_for_the_presets_own_anchors_and_classes() -> None:
     assert bundled_priors(ablated(PAPER, ["no-scale-8", "no-anchor-filter"])) is not None
     assert bundled_priors(replace(PAPER, classes=("Car",))) is None
     assert bundled_priors(replace(PAPER, anchors=replace(PAPER.anchors, base_px=20.0))) is None
+    assert bundled_priors(replace(PAPER, rig=replace(PAPER.rig, focal_px=2 * PAPER.rig.focal_px))) is None
 
 
 def test_tables_beside_the_checkpoint_win(tmp_path: Path, priors: AnchorPriors) -> None:

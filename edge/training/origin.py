@@ -1,0 +1,49 @@
+"""What a run begins with: where its priors and weights come from, for ``run.json`` and for the user's eye."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from edge.detector.presets import Preset
+from edge.detector.weights import check_ablations, check_priors
+from edge.zoo.priors import BUNDLED_ORIGIN, bundled_priors
+from runtime.contracts.errors import CheckpointError
+from runtime.contracts.manifest import PRIORS_FILE, AnchorPriors, file_sha256
+
+
+def priors_origin(out: Path, preset: Preset, given: Path | None) -> str:
+    """Where `edge.training.start.run_priors` takes a run's priors from; to be asked before it does."""
+    if (out / PRIORS_FILE).exists():
+        return str(out / PRIORS_FILE)
+    if given is not None:
+        return str(given)
+    return BUNDLED_ORIGIN if bundled_priors(preset) is not None else "computed from the datasets' labels"
+
+
+def start_notes(start: Path | None, preset: Preset, priors: AnchorPriors) -> list[str]:
+    """What a user should know of weights that a run starts from: that they were trained for something else.
+
+    It is no error: a run may lead away from what its weights were, it only begins with boxes that are off.
+    """
+    notes = []
+    for check in (
+        lambda path: check_priors(path, priors, preset.classes),
+        lambda path: check_ablations(path, preset),
+    ):
+        try:
+            if start is not None:
+                check(start)
+        except CheckpointError as error:
+            notes.append(f"{error}, or let the run learn the difference")
+    return notes
+
+
+def origin_record(
+    *, method: str | None, priors: str, start: Path | None, backbone: Path | None, validation: str | None
+) -> dict[str, str]:
+    """All of it by name, files with their SHA-256; what was not given is left out."""
+    record = {"method": method or "preset", "priors": priors}
+    for name, file in (("start", start), ("backbone", backbone)):
+        if file is not None:
+            record |= {name: str(file), f"{name}_sha256": file_sha256(file)}
+    return record if validation is None else record | {"validation": validation}
