@@ -17,7 +17,6 @@ from quantize.bias_correction import Shifts
 from quantize.calibration import Calibration, corrections
 from quantize.prepare import Prepared
 from quantize.qdq import Levels, QuantisedGraph
-from quantize.recipe import Recipe
 from quantize.rounding import roundings
 from quantize.static import build
 
@@ -35,6 +34,19 @@ class Adjustments:
     shifts: Shifts = field(default_factory=dict)
 
 
+@dataclass(frozen=True, slots=True)
+class Way:
+    """A way to write a placement, of those that cost nothing at run time.
+
+    Attributes:
+        prepared: The model, its recipe that of this way.
+        adjustments: What the recipe's adjustments came to.
+    """
+
+    prepared: Prepared
+    adjustments: Adjustments
+
+
 def adjust(
     prepared: Prepared,
     calibration: Calibration,
@@ -44,6 +56,7 @@ def adjust(
     use_cache: bool = True,
     allow_other_rig: bool = False,
     progress: Progress = no_progress,
+    levels: Levels | None = None,
 ) -> Adjustments:
     """The adjustments of the model's recipe, from the first few calibration frames.
 
@@ -55,16 +68,18 @@ def adjust(
         use_cache: Look for, and keep, results in the user's cache folder.
         allow_other_rig: Accept cameras far from those of the training data.
         progress: Told after every frame.
+        levels: That the recipe's rounding is known to give; None works them out.
     """
-    levels = roundings(
-        prepared,
-        calibration,
-        ranges,
-        choice,
-        use_cache=use_cache,
-        allow_other_rig=allow_other_rig,
-        progress=progress,
-    )
+    if levels is None:
+        levels = roundings(
+            prepared,
+            calibration,
+            ranges,
+            choice,
+            use_cache=use_cache,
+            allow_other_rig=allow_other_rig,
+            progress=progress,
+        )
     shifts = corrections(
         prepared,
         calibration,
@@ -97,6 +112,45 @@ def build_adjusted(
     )
 
 
+def adjusted_ways(
+    prepared: Prepared,
+    calibration: Calibration,
+    ranges: Mapping[str, Range],
+    choice: Choice,
+    *,
+    every: bool,
+    use_cache: bool = True,
+    allow_other_rig: bool = False,
+    progress: Progress = no_progress,
+) -> dict[str, Way]:
+    """`adjust` for the model's own recipe or for each of `variants`, by their names.
+
+    Args:
+        prepared, calibration, ranges, choice: As for `adjust`.
+        every: All variants, the recipe's own first; else that one alone.
+        use_cache, allow_other_rig, progress: As for `adjust`.
+    """
+    found: dict[str, Way] = {}
+    levels: dict[bool, Levels] = {}  # whether biases are corrected changes no rounding
+    for name, variant in variants(prepared).items():
+        rounds = variant.recipe.output_rounding
+        adjustments = adjust(
+            variant,
+            calibration,
+            ranges,
+            choice,
+            use_cache=use_cache,
+            allow_other_rig=allow_other_rig,
+            progress=progress,
+            levels=levels.get(rounds),
+        )
+        levels[rounds] = adjustments.levels
+        found[name] = Way(variant, adjustments)
+        if not every:
+            break
+    return found
+
+
 def variants(prepared: Prepared) -> dict[str, Prepared]:
     """The model with each combination of adjustments, by a name for reports; that of its own recipe first."""
     own = prepared.recipe
@@ -105,10 +159,4 @@ def variants(prepared: Prepared) -> dict[str, Prepared]:
         dataclasses.replace(own, output_rounding=rounding, bias_correction=correction)
         for rounding, correction in itertools.product(rounds, corrects)
     ]
-    return {adjustments_name(recipe): dataclasses.replace(prepared, recipe=recipe) for recipe in recipes}
-
-
-def adjustments_name(recipe: Recipe) -> str:
-    """In words."""
-    weights = "weights rounded by what they do" if recipe.output_rounding else "weights to the nearest level"
-    return weights + ", biases corrected" * recipe.bias_correction
+    return {recipe.adjustments: dataclasses.replace(prepared, recipe=recipe) for recipe in recipes}

@@ -166,7 +166,7 @@ def ap_drop_points(reference: Measurement, other: Measurement) -> float:
     objects are left out.
 
     Raises:
-        QuantizeError: No class has labelled objects to measure on.
+        QuantizeError: No class has moderate objects to measure on.
     """
     lost = []
     for name, metrics in reference.ap.items():
@@ -177,8 +177,8 @@ def ap_drop_points(reference: Measurement, other: Measurement) -> float:
         lost.append(before - other.ap[name]["3d"][overlap]["R40"][LEVEL_MODERATE])
     if not lost:
         raise QuantizeError(
-            "--validation: found no labelled objects of the model's classes; expected some for a budget in AP points; "
-            "give a labelled source"
+            "--validation: found no labelled objects of the model's classes and moderate difficulty; expected some for "
+            "a budget in AP points; give a labelled source"
         )
     return max(lost)
 

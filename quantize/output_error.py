@@ -45,6 +45,8 @@ class OutputError:
             self._wanted = [session.run(feed) for feed in self._feeds]
         self._weights = [_anchor_weights(names, outputs) for outputs in self._wanted]
         self._column_weights = [_column_weights(name, self._wanted[0][at].shape[-1]) for at, name in enumerate(names)]
+        self._total_weight = float(sum(weights.sum() for weights in self._weights))
+        self._all_columns = float(sum(item.sum() for item in self._column_weights))
         self._variances = [self._variance(at) for at in range(len(names))]
 
     def of(self, model: onnx.ModelProto) -> float:
@@ -77,18 +79,14 @@ class OutputError:
         for at, (signal, other) in enumerate(zip(wanted, outputs, strict=True)):
             power = _weighted((signal.astype(np.float64) - other) ** 2, weights)
             total += float((self._column_weights[at] * power / self._variances[at]).sum())
-        return total / self._total_weight() / float(sum(item.sum() for item in self._column_weights))
+        return total / self._total_weight / self._all_columns
 
     def _variance(self, at: int) -> NDArray[np.float64]:
         """(columns,) of one output over the weighted anchors of all frames."""
         pairs = [(outputs[at].astype(np.float64), w) for outputs, w in zip(self._wanted, self._weights, strict=True)]
-        total = self._total_weight()
-        mean = sum(_weighted(values, w) for values, w in pairs) / total
-        square = sum(_weighted((values - mean) ** 2, w) for values, w in pairs) / total
+        mean = sum(_weighted(values, w) for values, w in pairs) / self._total_weight
+        square = sum(_weighted((values - mean) ** 2, w) for values, w in pairs) / self._total_weight
         return np.asarray(np.maximum(square, _SMALLEST_VARIANCE), np.float64)
-
-    def _total_weight(self) -> float:
-        return float(sum(weights.sum() for weights in self._weights))
 
 
 def _anchor_weights(names: Sequence[str], outputs: Sequence[NDArray[np.float32]]) -> NDArray[np.float64]:

@@ -65,6 +65,12 @@ class Recipe:
     bias_correction: bool
     verified: str
 
+    @property
+    def adjustments(self) -> str:
+        """What is adjusted at no cost at run time, in words."""
+        weights = "weights rounded by what they do" if self.output_rounding else "weights to the nearest level"
+        return weights + ", biases corrected" * self.bias_correction
+
 
 def load_recipes() -> dict[str, Recipe]:
     """All recipes that the package brings, by target."""

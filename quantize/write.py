@@ -59,7 +59,8 @@ def write_directory(
         manifest = _manifest(prepared, calibration, folder, method=method, given_back=given_back)
         (folder / CALIBRATION_FILE).write_text(choice_text(calibration.frames), encoding="utf-8")
         (folder / MANIFEST_FILE).write_text(format_manifest(manifest), encoding="utf-8")
-        (folder / CARD_FILE).write_text(_card(source.path, manifest), encoding="utf-8")
+        card = _card(source.path, manifest, calibration_frames=len(calibration.frames.frames))
+        (folder / CARD_FILE).write_text(card, encoding="utf-8")
     return open_model_directory(out)
 
 
@@ -77,6 +78,7 @@ def _manifest(
         "float_model_sha256": old.sha256[MODEL_FILE],
         "int8_target": prepared.recipe.target,
         "int8_range_method": method,
+        "int8_adjustments": prepared.recipe.adjustments,
         "calibration_source": frames.source,
         "calibration_frames": " ".join(frame.frame_id for frame in frames.frames),
         "calibration_pixels_sha256": frames.digest,
@@ -92,17 +94,17 @@ def _manifest(
     )
 
 
-def _card(source: Path, manifest: Manifest) -> str:
+def _card(source: Path, manifest: Manifest, *, calibration_frames: int) -> str:
     """The float model's card with a section on INT8."""
     path = source / CARD_FILE
     before = path.read_text(encoding="utf-8").rstrip() if path.is_file() else f"# {manifest.preset}"
     before = re.sub(r"^# .*", f"# {manifest.preset}, {manifest.recipe}", before, count=1)
     facts = manifest.provenance
-    count = len(facts["calibration_frames"].split())
     return (
         f"{before}\n\n## INT8\n\n"
-        f"Recipe `{manifest.recipe}` for {facts['int8_target']}; ranges by {facts['int8_range_method']} from {count} "
-        f"frames of `{facts['calibration_source']}` (pixels {facts['calibration_pixels_sha256'][:12]}).\n"
+        f"Recipe `{manifest.recipe}` for {facts['int8_target']}; ranges by {facts['int8_range_method']} from "
+        f"{calibration_frames} frames of `{facts['calibration_source']}` (pixels "
+        f"{facts['calibration_pixels_sha256'][:12]}); {facts['int8_adjustments']}.\n"
         f"Layers given back to float: {facts['given_back_to_float']}.\n"
         "The ranges are learned from the calibration frames; the licence of those frames goes with them.\n"
     )

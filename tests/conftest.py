@@ -164,7 +164,7 @@ def tiny_drive(tmp_path: Path) -> Path:
             image = np.full((height, width, 3), grey, np.uint8)
             assert cv2.imwrite(str(root / "training" / folder / f"{stem}.png"), image)
         (root / "training" / "calib" / f"{stem}.txt").write_text(calibration, encoding="utf-8")
-        label = "Car 0.00 0 0.10 60 30 80 50 1.50 1.60 3.90 0.50 1.60 20.00 0.12\n"
+        label = "Car 0.00 0 0.10 60 26 80 54 1.50 1.60 3.90 0.50 1.60 20.00 0.12\n"
         (root / "training" / "label_2" / f"{stem}.txt").write_text(label, encoding="utf-8")
     (root / "ImageSets" / "val.txt").write_text("\n".join(stems[2:]) + "\n", encoding="utf-8")
     return root

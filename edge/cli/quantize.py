@@ -19,7 +19,7 @@ from edge.cli.source_names import public_name
 from edge.cli.stages import say, stage_progress, warn
 
 if TYPE_CHECKING:
-    from quantize.adjustments import Adjustments
+    from quantize.adjustments import Way
     from runtime.contracts.manifest import ModelDirectory
 
 DEFAULT_FRAMES = 100
@@ -86,13 +86,13 @@ def quantize_command(
 
     from edge.report.terminal import report_console, show_table
     from edge.samples import calibration_source
-    from quantize.adjustments import adjust, build_adjusted, variants
+    from quantize.adjustments import adjusted_ways, build_adjusted
     from quantize.calibration import calibrate, choose_frames, equalised
     from quantize.prepare import prepare_model
     from quantize.range_search import settled_ranges
     from quantize.recipe import detect_target, recipe_for_target
     from quantize.write import write_directory
-    from runtime.contracts.errors import GoalMissedError
+    from runtime.contracts.errors import EdgeError, GoalMissedError
     from runtime.contracts.manifest import open_model_directory
     from runtime.sources.factory import open_sequence
 
@@ -145,73 +145,70 @@ def quantize_command(
             allow_other_rig=allow_other_rig,
             progress=progress,
         )
-        ranges = settled.ranges
-        ways = variants(prepared)
-        if budget is None:
-            ways = dict(list(ways.items())[:1])
-        adjustments = {  # what costs nothing at run time is tried before any layer goes back to float
-            f"{settled.name} ranges, {name}": adjust(
-                variant,
-                found,
-                ranges,
-                chosen,
-                use_cache=use_cache,
-                allow_other_rig=allow_other_rig,
-                progress=progress,
-            )
-            for name, variant in ways.items()
-        }
+        ways = adjusted_ways(  # what costs nothing at run time is tried before any layer goes back to float
+            prepared,
+            found,
+            settled.ranges,
+            chosen,
+            every=budget is not None,
+            use_cache=use_cache,
+            allow_other_rig=allow_other_rig,
+            progress=progress,
+        )
         looked_at = list(chosen.frames(PARITY_FRAMES))
 
-    def write(adjusted: Adjustments, place: Path, given_back: Sequence[str]) -> ModelDirectory:
-        graph = build_adjusted(prepared, found, ranges, adjusted, given_back=given_back)
-        return write_directory(prepared, graph, found, place, method=settled.name, given_back=given_back)
+    def write(way: Way, place: Path, given_back: Sequence[str]) -> ModelDirectory:
+        graph = build_adjusted(way.prepared, found, settled.ranges, way.adjustments, given_back=given_back)
+        return write_directory(way.prepared, graph, found, place, method=settled.name, given_back=given_back)
 
     search = None
     given_back: tuple[str, ...] = ()
-    way = next(iter(adjustments))
+    way = next(iter(ways.values()))
     if budget is not None and validation is not None:
         search = search_in_budget(
             prepared,
             found,
-            {name: partial(write, some) for name, some in adjustments.items()},
+            {name: partial(write, some) for name, some in ways.items()},
             out=out,
             validation=validation,
             max_drop=budget,
             labelled=max_drop is not None,
-            ranges=ranges,
+            ranges=settled.ranges,
             allow_other_rig=allow_other_rig,
         )
-        given_back, way = search.best.given_back, search.best.way
-    written = write(adjustments[way], out, given_back)
+        given_back, way = search.best.given_back, ways[search.best.way]
+    written = write(way, out, given_back)
     parity = look_at_pixels(prepared, written, looked_at)
     tables = report(
-        prepared,
+        way,
         found,
         written,
         given_back=given_back,
-        ranges=ranges,
-        adjusted=adjustments[way],
-        method=way,
+        settled=settled,
         validation=validation,
         search=search,
         budget=budget,
         parity=parity,
-        repeat=how_to_repeat(context, prepared, found, written, given_back=given_back),
+        repeat=how_to_repeat(context, way.prepared, found, written, given_back=given_back),
         allow_other_rig=allow_other_rig,
     )
     if counts:
-        write_curve_of(
-            prepared,
-            out,
-            counts,
-            calibration=uri,
-            choice=choice.value,
-            validation=validation,
-            method=settled.method,
-            use_cache=use_cache,
-            allow_other_rig=allow_other_rig,
-        )
+        try:
+            write_curve_of(
+                prepared,
+                out,
+                counts,
+                calibration=uri,
+                choice=choice.value,
+                validation=validation,
+                settled=settled,
+                use_cache=use_cache,
+                allow_other_rig=allow_other_rig,
+            )
+        except EdgeError as error:
+            if validation is not None:
+                raise
+            warn(f"no curve: {error}")
     console = report_console()
     for table in tables:
         show_table(console, table, text_columns=2)

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 PARITY_FRAMES = 3
 """Calibration frames whose pixels are followed to the first convolution."""
+_SHOWN_PROVENANCE = ("int8_range_method", "int8_adjustments", "int8_target")
 SOURCES = frozenset({"calibration", "validation"})
 
 
@@ -56,7 +57,7 @@ def how_to_repeat(
     settings: dict[str, Any] = {
         "calibration source": found.frames.source,
         "calibration frames": f"{len(found.frames.frames)} of {found.frames.available}",
-        **{name.replace("_", " "): written.manifest.provenance[name] for name in ("int8_range_method", "int8_target")},
+        **{name.replace("_", " "): written.manifest.provenance[name] for name in _SHOWN_PROVENANCE},
         "given back to float": ", ".join(given_back) or "nothing",
     }
     return RepeatRecord(

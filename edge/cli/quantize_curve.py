@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from calib.ranges import Progress
     from edge.report.curve import CurvePoint
     from quantize.prepare import Prepared
+    from quantize.range_search import RangeSearch
     from runtime.contracts.measurement import Measurement
 
 EVEN = "spread"
@@ -46,7 +47,7 @@ def write_curve_of(
     calibration: str,
     choice: str,
     validation: str | None,
-    method: str,
+    settled: RangeSearch,
     use_cache: bool,
     allow_other_rig: bool,
 ) -> None:
@@ -62,13 +63,15 @@ def write_curve_of(
         calibration: URI of the frames that calibrate.
         choice: Way of choosing that is compared with even spread.
         validation: URI of the frames that measure; None for the bundled drive.
-        method: Range method.
+        settled: Ranges of the written model. The curve's come from the method that they do: a search for each set would
+            take minutes.
         use_cache: Look for, and keep, features of frames in the user's cache folder.
         allow_other_rig: Accept cameras far from those of the training data.
     """
     import tempfile
 
     from calib.choice import Choice, choose_from
+    from edge.cli.calibration_overlap import warn_of_overlap
     from edge.evaluation.measure import assess, measurement
     from edge.evaluation.run import run_model
     from edge.report.curve import write_curve
@@ -78,6 +81,9 @@ def write_curve_of(
     from quantize.write import write_directory
     from runtime.sources.factory import open_sequence
 
+    method = settled.method
+    if settled.trials:
+        say(f"curve: ranges by {method} alone, not searched as those of {folder.name} are")
     uri = validation or f"{measuring_source()}?limit={REPORT_FRAMES}"
     points: list[CurvePoint] = []
     with (
@@ -89,10 +95,13 @@ def write_curve_of(
         pool = looked_at(
             prepared, frames, max(counts), use_cache=use_cache, allow_other_rig=allow_other_rig, progress=progress
         )
-        reference = assess(run_model(prepared.source.path, source, allow_other_rig=allow_other_rig))
+        reference = assess(run_model(prepared.source.path, source, allow_other_rig=allow_other_rig, warn=warn))
         before = measurement(reference)
         for way in dict.fromkeys((choice, EVEN)):
             whole = choose_from(pool, frames, max(counts), name=public_name(calibration), method=way)
+            warn_of_overlap(
+                whole.chosen, source, name=public_name(uri), tell=lambda line, way=way: warn(f"{way}: {line}")
+            )
             seen = observe_first(
                 prepared, whole, counts, allow_other_rig=allow_other_rig, progress=_named(progress, way)
             )
@@ -117,6 +126,7 @@ def write_curve_of(
         folder,
         points,
         calibration=public_name(calibration),
+        range_method=method,
         measured_on=public_name(uri),
         measured_frames=len(reference.run.frame_ids),
     )

@@ -55,9 +55,12 @@ def check_validation(uri: str, classes: Sequence[str], *, labelled: bool) -> Non
 
     Raises:
         SourceError: they are not there, or the source is live.
-        QuantizeError: ``labelled``, and no label of the model's classes is among them.
+        QuantizeError: ``labelled``, and no object of moderate difficulty of the model's classes is among them.
     """
+    from edge.evaluation.kitti_ap import evaluate
+    from quantize.budget import LEVEL_MODERATE
     from quantize.errors import QuantizeError
+    from runtime.contracts.objects import Detections3D
     from runtime.sources.factory import open_sequence
 
     with open_sequence(uri) as source:
@@ -65,9 +68,12 @@ def check_validation(uri: str, classes: Sequence[str], *, labelled: bool) -> Non
             return
         for index in range(len(source)):
             labels = source.labels(index)
-            if labels is not None and {labels.class_names[number] for number in labels.class_id} & set(classes):
+            if labels is None:
+                continue
+            counts = evaluate([labels], [Detections3D.empty(labels.class_names)], classes).objects
+            if any(levels[LEVEL_MODERATE] for levels in counts.values()):
                 return
     raise QuantizeError(
-        f"--validation: found no labelled objects of the model's classes in {uri}; expected some for a budget in AP "
-        "points; give a labelled source, or --max-disagreement instead of --max-drop"
+        f"--validation: found no labelled objects of the model's classes and moderate difficulty in {uri}; expected "
+        "some for a budget in AP points; give a labelled source, or --max-disagreement instead of --max-drop"
     )

@@ -14,10 +14,11 @@ if TYPE_CHECKING:
     from calib.methods import Range
     from edge.report.parity import ParityRecord
     from edge.report.repeat import RepeatRecord
-    from quantize.adjustments import Adjustments
+    from quantize.adjustments import Way
     from quantize.budget import BudgetResult
     from quantize.calibration import Calibration
     from quantize.prepare import Prepared
+    from quantize.range_search import RangeSearch
     from runtime.contracts.manifest import ModelDirectory
     from runtime.contracts.measurement import Measurement
     from runtime.peak_memory import PeakMemory
@@ -29,14 +30,12 @@ REPORT_FRAMES = 12
 
 
 def report(
-    prepared: Prepared,
+    way: Way,
     found: Calibration,
     written: ModelDirectory,
     *,
     given_back: Sequence[str],
-    ranges: Mapping[str, Range],
-    adjusted: Adjustments,
-    method: str,
+    settled: RangeSearch,
     validation: str | None,
     search: BudgetResult | None,
     budget: float | None,
@@ -70,12 +69,15 @@ def report(
     from runtime.profile import int8_share as share_of_run
     from runtime.sources.factory import open_sequence
 
+    prepared, ranges = way.prepared, settled.ranges
     manifest = prepared.source.manifest
     placement = place(prepared.model, prepared.recipe, given_back)
     facts = {
         "recipe": f"{prepared.recipe.name} ({prepared.recipe.note})",
         "target": f"{prepared.recipe.target}, {prepared.recipe.verified}",
-        "ranges": f"{method}, {len(found.frames.frames)} frames of {found.frames.source}",
+        "ranges": f"{settled.name}, {len(found.frames.frames)} frames of {found.frames.source}",
+        **_search_facts(settled),
+        "adjustments": prepared.recipe.adjustments,
         **_coverage_facts(found),
         "calibration pixels SHA-256": found.frames.digest,
         "given back to float": ", ".join(given_back) or "nothing",
@@ -97,7 +99,7 @@ def report(
                 warn_of_overlap(found.frames, source, name=name)
             pairs = list(spread_frames(source, TIMED_FRAMES))
             feeds = list(frame_feeds(pairs[:NOISE_FRAMES], manifest, allow_other_rig=allow_other_rig))
-            graph = build_adjusted(prepared, found, ranges, adjusted, given_back=given_back)
+            graph = build_adjusted(prepared, found, ranges, way.adjustments, given_back=given_back)
             layers = layer_noise(prepared, graph, lambda: feeds)
             paths = [prepared.source.path, written.path]
             runs, measurements = _measure(paths, source, allow_other_rig=allow_other_rig)
@@ -123,7 +125,9 @@ def report(
         latency=latency,
         memory=memory,
         budget=tuple(
-            BudgetRow(step.given_back, step.drop_points, step.measurement.latency_ms.get("inference"), step.holds)
+            BudgetRow(
+                step.given_back, step.drop_points, step.measurement.latency_ms.get("inference"), step.holds, step.way
+            )
             for step in (search.steps if search is not None else ())
         ),
         parity=parity,
@@ -133,6 +137,15 @@ def report(
     if search is not None and budget is not None:
         _budget_plot(written.path, record.budget, budget)
     return [*report_tables(measurements), cost_table(record), noise_table(record)]
+
+
+def _search_facts(settled: RangeSearch) -> dict[str, str]:
+    if settled.error is None or settled.first_error is None:
+        return {}
+    return {
+        "error at the outputs": f"{settled.error:.3g} of the signal's power, weighted; {settled.first_error:.3g} with "
+        f"{settled.method} ranges, {settled.trials} trials"
+    }
 
 
 def _coverage_facts(found: Calibration) -> dict[str, str]:

@@ -34,7 +34,13 @@ class CurvePoint:
 
 
 def write_curve(
-    folder: Path, points: Sequence[CurvePoint], *, calibration: str, measured_on: str, measured_frames: int
+    folder: Path,
+    points: Sequence[CurvePoint],
+    *,
+    calibration: str,
+    range_method: str,
+    measured_on: str,
+    measured_frames: int,
 ) -> bool:
     """Writes ``curve.json``, and ``curve.png`` where matplotlib is there.
 
@@ -42,6 +48,7 @@ def write_curve(
         folder: Model directory.
         points: In any order.
         calibration: Name of the source of the frames.
+        range_method: Where all ranges come from.
         measured_on: Name of the source that measured.
         measured_frames: How many frames that has.
 
@@ -54,6 +61,7 @@ def write_curve(
     record = {
         "schema": 1,
         "calibration": calibration,
+        "range_method": range_method,
         "measured_on": measured_on,
         "measured_frames": measured_frames,
         "points": [asdict(point) for point in points],

@@ -38,12 +38,13 @@ class LayerRow:
 
 @dataclass(frozen=True, slots=True)
 class BudgetRow:
-    """A model that the budget search tried: layers in float, points lost, milliseconds of inference."""
+    """A model that the budget search tried: layers in float, points lost, milliseconds of inference, adjustments."""
 
     given_back: tuple[str, ...]
     drop_points: float
     inference_ms: float | None
     holds: bool
+    way: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,12 +162,13 @@ def budget_table(record: QuantisationRecord) -> Table:
             NO_VALUE if item.inference_ms is None else f"{item.inference_ms:.1f}",
             "holds" if item.holds else "over",
             ", ".join(item.given_back[-3:]) or NO_VALUE,
+            item.way or NO_VALUE,
         )
         for item in record.budget
     )
     return Table(
         "Accuracy budget: what was tried",
-        ("layers in float", "points lost", "inference ms", "budget", "last given"),
+        ("layers in float", "points lost", "inference ms", "budget", "last given", "adjustments"),
         rows,
     )
 
@@ -206,6 +208,7 @@ def _as_json(record: QuantisationRecord) -> dict[str, Any]:
                 "drop_points": item.drop_points,
                 "inference_ms": item.inference_ms,
                 "holds": item.holds,
+                "adjustments": item.way,
             }
             for item in record.budget
         ],

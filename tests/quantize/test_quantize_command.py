@@ -13,6 +13,7 @@ from typer.main import get_command
 pytest.importorskip("onnx")
 
 from calib.choice_record import read_choice
+from calib.methods import METHODS
 from edge.cli.main import app
 from edge.cli.source_names import public_name
 from runtime.contracts.manifest import open_model_directory
@@ -153,6 +154,7 @@ def test_a_budget_is_kept_or_missed_with_the_best_named(arguments, drives, tmp_p
     (step,) = json.loads((out / "report.json").read_text(encoding="utf-8"))["quantisation"]["budget"]
     assert (out / "budget.png").stat().st_size > 0
     assert step["given_back"] == []
+    assert step["adjustments"] == "weights rounded by what they do"
     assert step["holds"]
     drop = step["drop_points"]
     assert drop > 0, "the toy network must lose something for this test to say anything"
@@ -161,7 +163,9 @@ def test_a_budget_is_kept_or_missed_with_the_best_named(arguments, drives, tmp_p
     out = tmp_path / "narrow"
     code = run(*arguments, "--out", out, *validation, "--max-drop", drop / 2)
     steps = json.loads((out / "report.json").read_text(encoding="utf-8"))["quantisation"]["budget"]
-    kept = open_model_directory(out).manifest.provenance["given_back_to_float"]
+    report = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    provenance = open_model_directory(out).manifest.provenance
+    kept = provenance["given_back_to_float"]
     holding = [item for item in steps if item["holds"]]
     assert len(steps) > 1
     assert code == (0 if holding else 1)
@@ -171,6 +175,20 @@ def test_a_budget_is_kept_or_missed_with_the_best_named(arguments, drives, tmp_p
         best = min(steps, key=lambda item: item["drop_points"])
         assert str(out) in capsys.readouterr().err
     assert kept == (" ".join(sorted(best["given_back"])) or "none")
+    assert {item["adjustments"] for item in steps if not item["given_back"]} == set(ADJUSTMENTS)
+    assert provenance["int8_adjustments"] == best["adjustments"] == report["facts"]["adjustments"]
+    repeated = report["repeat"]["recipe"]
+    assert (repeated["output_rounding"], repeated["bias_correction"]) == ADJUSTMENTS[best["adjustments"]]
+    assert f"; {best['adjustments']}." in (out / "card.md").read_text(encoding="utf-8")
+
+
+ADJUSTMENTS = {
+    "weights rounded by what they do": (True, False),
+    "weights rounded by what they do, biases corrected": (True, True),
+    "weights to the nearest level": (False, False),
+    "weights to the nearest level, biases corrected": (False, True),
+}
+"""What a budget tries at no cost, and what the recipe says then: rounding, correction."""
 
 
 @pytest.mark.parametrize(
@@ -249,10 +267,35 @@ def test_names_of_sources_hold_no_folders(uri, shown) -> None:
     assert public_name(uri) == shown
 
 
+def test_a_curve_of_searched_ranges_says_where_its_own_come_from(arguments, drives, tmp_path, capsys) -> None:
+    out = tmp_path / "int8"
+    validation = ("--validation", f"kitti-object:{drives[0]}", "--allow-overlap")
+    assert run(*arguments, "--method", "search", "--out", out, *validation, "--curve", "1") == 0
+    told = capsys.readouterr().err
+    method = json.loads((out / "curve.json").read_text(encoding="utf-8"))["range_method"]
+    assert method in METHODS
+    assert f"curve: ranges by {method} alone, not searched" in told
+    assert "spread: 1 of the measured frames calibrated, too" in told  # its own choice, not only the model's
+    facts = json.loads((out / "report.json").read_text(encoding="utf-8"))["facts"]
+    assert facts["ranges"].startswith(f"search from {method}")
+    assert f"with {method} ranges" in facts["error at the outputs"]
+
+
+def test_a_curve_that_cannot_be_measured_leaves_the_model(arguments, drives, tmp_path, capsys) -> None:
+    """The bundled drive that measures has another camera than the toy network."""
+    out = tmp_path / "int8"
+    assert run(*arguments, "--out", out, "--curve", "1") == 0
+    assert "no curve: rig" in capsys.readouterr().err
+    assert open_model_directory(out).manifest.recipe == "static_wi8_au8_x86_vnni"
+    assert not (out / "curve.json").exists()
+
+
 def test_a_curve_over_the_number_of_frames(arguments, drives, tmp_path, capsys) -> None:
     out = tmp_path / "int8"
     assert run(*arguments, "--out", out, "--validation", f"kitti-object:{drives[1]}", "--curve", "1,3") == 0
-    points = json.loads((out / "curve.json").read_text(encoding="utf-8"))["points"]
+    record = json.loads((out / "curve.json").read_text(encoding="utf-8"))
+    points = record["points"]
+    assert record["range_method"] == "mse"
     assert [(item["choice"], item["frames"]) for item in points] == [
         ("coverage", 1), ("coverage", 3), ("spread", 1), ("spread", 3),
     ]  # fmt: skip

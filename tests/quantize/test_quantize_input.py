@@ -159,10 +159,10 @@ def relabel(drive: Path, name: str | None) -> None:
         if name is None:
             path.unlink()
         else:
-            path.write_text(path.read_text(encoding="utf-8").replace("Car", name), encoding="utf-8")
+            path.write_text(path.read_text(encoding="utf-8").replace("Car 0.00 0", name), encoding="utf-8")
 
 
-@pytest.mark.parametrize("name", [None, "Tram"])
+@pytest.mark.parametrize("name", [None, "Tram 0.00 0", "Car 0.00 3", "Car 0.99 0"])  # the last two count nowhere
 def test_an_ap_budget_without_labels_of_the_classes(
     name: str | None, toy_directory: Path, tiny_drive: Path, tmp_path: Path
 ) -> None:

@@ -10,7 +10,7 @@ import pytest
 onnx = pytest.importorskip("onnx")
 
 from calib.ranges import GROUP_BYTES, observe  # noqa: E402
-from quantize.adjustments import adjust, adjustments_name, variants  # noqa: E402
+from quantize.adjustments import adjust, adjusted_ways, variants  # noqa: E402
 from quantize.errors import QuantizeError  # noqa: E402
 from quantize.output_error import OutputError  # noqa: E402
 from quantize.prepare import Prepared, prepare_model  # noqa: E402
@@ -178,7 +178,20 @@ def test_variants_begin_with_the_recipe_itself(prepared) -> None:
         "weights to the nearest level, biases corrected",
     ]
     assert next(iter(found.values())).recipe == prepared.recipe
-    assert {adjustments_name(item.recipe): item for item in found.values()}.keys() == found.keys()
+    assert {item.recipe.adjustments: item for item in found.values()}.keys() == found.keys()
+
+
+def test_all_ways_round_once(prepared, observation, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+    monkeypatch.setattr(
+        "quantize.adjustments.roundings", lambda variant, *_, **__: asked.append(variant.recipe.output_rounding) or {}
+    )
+    monkeypatch.setattr("quantize.adjustments.corrections", lambda variant, *_, **__: {"bias": np.ones(1)})
+    given = (prepared, None, observation.ranges("minmax"), None)
+    assert list(adjusted_ways(*given, every=True)) == list(variants(prepared))
+    assert asked == [True, False]
+    ((name, way),) = adjusted_ways(*given, every=False).items()
+    assert way.prepared.recipe == prepared.recipe and name == prepared.recipe.adjustments
 
 
 def test_a_recipe_without_adjustments_looks_at_no_frame(prepared, observation) -> None:

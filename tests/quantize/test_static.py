@@ -194,6 +194,16 @@ def test_the_layer_made_worst_is_ranked_worst(prepared, calibration, toy_feeds) 
     assert [item.snr_db for item in ranked] == sorted(item.snr_db for item in ranked)
 
 
+def test_frames_whose_names_hold_spaces_are_counted_once(prepared, calibration, toy_directory, tmp_path) -> None:
+    frames = tuple(
+        dataclasses.replace(frame, frame_id=f"left view {frame.frame_id}") for frame in calibration.frames.frames
+    )
+    spaced = dataclasses.replace(calibration, frames=dataclasses.replace(calibration.frames, frames=frames))
+    graph = build(prepared, spaced.observation, spaced.observation.ranges("mse"))
+    written = write_directory(prepared, graph, spaced, tmp_path / "int8", method="mse")
+    assert f"from {len(frames)} frames of" in (written.path / "card.md").read_text(encoding="utf-8")
+
+
 def test_share_of_multiply_adds(prepared) -> None:
     assert int8_share(prepared) == 1.0
     costs = prepared.products

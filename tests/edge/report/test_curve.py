@@ -20,7 +20,7 @@ POINTS = [
 @pytest.mark.parametrize("points", [[], POINTS, POINTS[2:]])
 def test_record_and_picture_are_written(tmp_path: Path, points) -> None:
     pytest.importorskip("matplotlib")
-    assert write_curve(tmp_path, points, calibration="a", measured_on="b", measured_frames=7)
+    assert write_curve(tmp_path, points, calibration="a", range_method="mse", measured_on="b", measured_frames=7)
     record = json.loads((tmp_path / CURVE_RECORD).read_text(encoding="utf-8"))
     assert [(item["choice"], item["frames"]) for item in record["points"]] == [(p.choice, p.frames) for p in points]
     assert record["measured_frames"] == 7
@@ -32,5 +32,5 @@ def test_without_matplotlib_the_record_stays(tmp_path: Path, monkeypatch: pytest
         raise ImportError
 
     monkeypatch.setattr("edge.report.curve._draw", missing)
-    assert not write_curve(tmp_path, POINTS, calibration="a", measured_on="b", measured_frames=7)
+    assert not write_curve(tmp_path, POINTS, calibration="a", range_method="mse", measured_on="b", measured_frames=7)
     assert [path.name for path in tmp_path.iterdir()] == [CURVE_RECORD]
