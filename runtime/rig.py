@@ -8,6 +8,7 @@ JSON ``{"schema": 1, "image_size_wh": [w, h], "P2": 3x4, "P3": 3x4}``, and a dep
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,8 @@ SIZE_SLACK_PX = 1.0
 """A resized height may be off by rounding."""
 SILENT_SHARE, TOLERATED_SHARE = 0.05, 0.25
 """Differences of focal length or baseline: up to the first silently, up to the second with a warning."""
+SILENT_SHIFT_PX, TOLERATED_SHIFT_PX = 1.0, 4.0
+"""The same of the distance between the views' principal points, in network pixels; the finest volume has cells of 4."""
 
 
 def load_geometry(path: Path | str, image_size_wh: tuple[int, int] | None = None) -> StereoGeometry:
@@ -129,7 +132,7 @@ def check_rig(network_geometry: StereoGeometry, rig: RigLimits, *, stereo: bool,
     Args:
         network_geometry: of the network image.
         rig: of the model.
-        stereo: whether the baseline matters.
+        stereo: whether baseline and the two views' alignment matter.
         allow: whether a rig beyond all tolerance is accepted (with a warning).
 
     Returns:
@@ -138,22 +141,60 @@ def check_rig(network_geometry: StereoGeometry, rig: RigLimits, *, stereo: bool,
     Raises:
         RigError: it is too far off and not allowed.
     """
-    found = {"focal length": (network_geometry.focal_px, rig.focal_px, "network px")}
+    differences = [_relative("focal length", network_geometry.focal_px, rig.focal_px, "network px")]
     if stereo:
-        found["baseline"] = (network_geometry.baseline_m, rig.baseline_m, "m")
-    worst, share = max(
-        ((name, abs(has / wants - 1.0)) for name, (has, wants, _) in found.items()), key=lambda item: item[1]
-    )
-    if share <= SILENT_SHARE:
+        P2, P3 = network_geometry.P2, network_geometry.P3
+        differences += [
+            _relative("baseline", network_geometry.baseline_m, rig.baseline_m, "m"),
+            _shift("columns", float(P2[0, 2] - P3[0, 2])),
+            _shift("rows", float(P2[1, 2] - P3[1, 2])),
+        ]
+    worst = max((item for item in differences if not item.is_silent), key=lambda item: item.of_tolerated, default=None)
+    if worst is None:
         return None
-    has, wants, unit = found[worst]
-    facts = f"{worst} is {has:.4g} {unit}, the model was made for {wants:.4g} {unit} ({share:.0%} off)"
-    if share <= TOLERATED_SHARE:
-        return f"rig: {facts}; distances may suffer, a model trained for this rig would be better"
+    if worst.of_tolerated <= 1.0:
+        return f"rig: {worst.facts}; distances may suffer, {worst.remedy} would be better"
     if allow:
-        return f"rig: {facts}; accepted because another rig was allowed, expect wrong distances"
-    raise RigError(
-        f"rig: {facts}, expected at most {TOLERATED_SHARE:.0%}; train for this rig, or pass --allow-other-rig"
+        return f"rig: {worst.facts}; accepted because another rig was allowed, expect wrong distances"
+    raise RigError(f"rig: {worst.facts}, expected at most {worst.limit}; use {worst.remedy}, or pass --allow-other-rig")
+
+
+@dataclass(frozen=True, slots=True)
+class _Difference:
+    """One way in which a camera is not what the model knows.
+
+    Attributes:
+        facts: in words; limit: what is tolerated; remedy: what to use instead.
+        is_silent: too small to speak of.
+        of_tolerated: share of what is tolerated.
+    """
+
+    facts: str
+    limit: str
+    remedy: str
+    is_silent: bool
+    of_tolerated: float
+
+
+def _relative(name: str, found: float, wanted: float, unit: str) -> _Difference:
+    share = abs(found / wanted - 1.0)
+    return _Difference(
+        f"{name} is {found:.4g} {unit}, the model was made for {wanted:.4g} {unit} ({share:.0%} off)",
+        f"{TOLERATED_SHARE:.0%}",
+        "a model trained for this rig",
+        share <= SILENT_SHARE,
+        share / TOLERATED_SHARE,
+    )
+
+
+def _shift(axis: str, shift_px: float) -> _Difference:
+    """Rectified views look one way: a shift of their principal points adds to all disparities, or parts the rows."""
+    return _Difference(
+        f"the views' principal {axis} are {abs(shift_px):.3g} network px apart",
+        f"{TOLERATED_SHIFT_PX:g}",
+        "a pair that is rectified to one principal point",
+        abs(shift_px) <= SILENT_SHIFT_PX,
+        abs(shift_px) / TOLERATED_SHIFT_PX,
     )
 
 

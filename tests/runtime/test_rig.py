@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -129,6 +130,39 @@ def test_rig(focal_px: float, baseline_m: float, stereo: bool, verdict: str) -> 
         return
     warning = check_rig(camera, RIG, stereo=stereo, allow=False)
     assert warning is None if verdict == "fits" else verdict in (warning or "")
+
+
+@pytest.mark.parametrize(
+    ("row", "shift_px", "stereo", "verdict"),
+    [
+        (0, 0.48, True, "fits"),  # KITTI's rig
+        (0, -1.5, True, "principal columns are 1.5 network px apart"),
+        (1, 2.0, True, "principal rows are 2 network px apart"),
+        (0, 40.0, True, "too far"),  # calibrated, not rectified
+        (1, -5.0, True, "too far"),
+        (0, 40.0, False, "fits"),
+    ],
+)
+def test_views_that_look_another_way(row: int, shift_px: float, stereo: bool, verdict: str) -> None:
+    camera = geometry()
+    right = camera.P3.copy()
+    right[row, 2] += shift_px
+    camera = dataclasses.replace(camera, P3=right)
+    rig = RigLimits(camera.focal_px, camera.baseline_m)
+    if verdict == "too far":
+        with pytest.raises(RigError, match=r"expected at most 4; use a pair that is rectified .* --allow-other-rig"):
+            check_rig(camera, rig, stereo=stereo, allow=False)
+        return
+    warning = check_rig(camera, rig, stereo=stereo, allow=False)
+    assert warning is None if verdict == "fits" else verdict in (warning or "")
+
+
+def test_a_silent_difference_hides_no_other() -> None:
+    camera = geometry(focal_px=527.0, baseline_m=0.5)  # 5.4 %
+    right = camera.P3.copy()
+    right[0, 2] -= 0.95  # silent, and nearer to what is tolerated
+    camera = dataclasses.replace(camera, P3=right)
+    assert "focal length" in (check_rig(camera, RIG, stereo=True, allow=False) or "")
 
 
 def test_kitti_days_pass_as_one_rig(kitti_dir: Path) -> None:
