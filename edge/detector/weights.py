@@ -23,11 +23,15 @@ PRIORS_KEY = "priors_sha256"
 
 
 def save_weights(path: Path, state: dict[str, torch.Tensor], *, metadata: dict[str, str]) -> None:
-    """Write inference weights as float16 safetensors, beside its place and renamed; the disparity branch stays out."""
+    """Write weights as float16 safetensors, beside its place and renamed; the norms' counters stay out.
+
+    The disparity branch is among them, although only training uses it: a run that starts from the file with a random
+    one spends its first hundreds of steps on what its neck knew already.
+    """
     kept = {
         name: value.to(torch.float16).contiguous() if value.dtype.is_floating_point else value
         for name, value in state.items()
-        if not name.startswith("disparity_branch.") and not name.endswith("num_batches_tracked")
+        if not name.endswith("num_batches_tracked")
     }
     beside = path.with_name(path.name + ".part")
     save_file(kept, beside, metadata=metadata)
@@ -69,6 +73,14 @@ def check_priors(path: Path, tables: AnchorPriors, classes: tuple[str, ...]) -> 
         raise CheckpointError(
             f"{path} was trained with other priors, expected the tables that lie beside it; give those by --priors"
         )
+
+
+def has_disparity_branch(path: Path) -> bool:
+    """Whether a safetensors file holds the branch that training alone uses; others are taken to hold it."""
+    if path.suffix != ".safetensors":
+        return True
+    with safe_open(path, framework="pt") as file:
+        return any(name.startswith("disparity_branch.") for name in file.keys())  # noqa: SIM118 - it is no dict
 
 
 def check_ablations(path: Path, preset: Preset) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from edge.detector.presets import Preset
-from edge.detector.weights import check_ablations, check_priors
+from edge.detector.weights import check_ablations, check_priors, has_disparity_branch
 from edge.zoo.priors import BUNDLED_ORIGIN, bundled_priors
 from runtime.contracts.errors import CheckpointError
 from runtime.contracts.manifest import PRIORS_FILE, AnchorPriors, file_sha256
@@ -35,6 +35,8 @@ def start_notes(start: Path | None, preset: Preset, priors: AnchorPriors) -> lis
                 check(start)
         except CheckpointError as error:
             notes.append(f"{error}, or let the run learn the difference")
+    if start is not None and preset.views == 2 and not has_disparity_branch(start):
+        notes.append(f"{start} has no disparity branch, which training uses: it starts anew")
     return notes
 
 

@@ -17,6 +17,7 @@ from edge.detector.presets import HeadShape, NeckShape, NetworkShape, Preset, pr
 from edge.detector.weights import PRIORS_KEY, check_priors, load_weights, priors_digest, save_weights  # noqa: E402
 from edge.training.ground_truth import alpha_of_yaw, mirror_geometry, mirror_objects, outline_boxes  # noqa: E402
 from edge.training.loop import train  # noqa: E402
+from edge.training.origin import start_notes  # noqa: E402
 from edge.training.run_record import RunSettings, check_same_run, length_before, write_settings  # noqa: E402
 from edge.training.samples import SampleMaker  # noqa: E402
 from edge.training.schedule import Schedule  # noqa: E402
@@ -142,8 +143,15 @@ def test_weights_round_trip_and_refusal(tmp_path: Path) -> None:
     file = tmp_path / "weights.safetensors"
     save_weights(file, detector.state_dict(), metadata={"preset": chosen.name})
     load_weights(other, file)
-    name = "head.regression.0.0.weight"
-    torch.testing.assert_close(other.state_dict()[name], detector.state_dict()[name], atol=1e-3, rtol=1e-3)
+    branch = next(name for name in detector.state_dict() if name.startswith("disparity_branch"))
+    for name in ("head.regression.0.0.weight", branch):
+        torch.testing.assert_close(other.state_dict()[name], detector.state_dict()[name], atol=1e-3, rtol=1e-3)
+    assert start_notes(file, chosen, plain_priors(chosen)) == []
+    bare = tmp_path / "bare.safetensors"
+    without = {name: value for name, value in detector.state_dict().items() if not name.startswith("disparity_branch")}
+    save_weights(bare, without, metadata={"preset": chosen.name})
+    load_weights(other, bare)
+    assert ["starts anew" in note for note in start_notes(bare, chosen, plain_priors(chosen))] == [True]
     with pytest.raises(CheckpointError, match="expected the weights of this preset"):
         load_weights(StereoDetector(replace(chosen, classes=("Car",))), file)
     file.write_bytes(b"not weights")
