@@ -56,7 +56,7 @@ class Detector:
         """
         self.directory = directory
         self.session = session
-        self._readout = Readout(directory.manifest, directory.priors)
+        self._readout = Readout(directory.manifest, directory.priors, use_native=session.native_loaded)
         self._allow_other_rig = allow_other_rig
         self._warn = warn
         self._warned = False

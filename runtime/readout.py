@@ -11,7 +11,7 @@ from runtime.contracts.manifest import AnchorPriors, Manifest
 from runtime.contracts.objects import Detections3D
 from runtime.decode import Decoder
 from runtime.preprocess import NetworkView
-from runtime.refinement import OCCLUDER_SCORE, refine_depths
+from runtime.refinement import OCCLUDER_SCORE, refiner
 
 
 class Readout:
@@ -20,10 +20,12 @@ class Readout:
     Args:
         manifest: thresholds, suppression, and whether depths are refined.
         priors: of the model.
+        use_native: refine depths by the native library where it was built.
     """
 
-    def __init__(self, manifest: Manifest, priors: AnchorPriors) -> None:
+    def __init__(self, manifest: Manifest, priors: AnchorPriors, *, use_native: bool = True) -> None:
         self._manifest = manifest
+        self._refine = refiner(use_native=use_native)
         self._decoder = Decoder(manifest, priors)
 
     def decode(
@@ -42,7 +44,7 @@ class Readout:
     def refine(self, decoded: Detections3D, frame: StereoFrame, *, score: float | None = None) -> Detections3D:
         """What `decode` gave for the same score, with its final depths and without what only hid others."""
         if self._manifest.depth_refinement and frame.right is not None:
-            decoded = refine_depths(decoded, frame.left, frame.right, frame.geometry)
+            decoded = self._refine(decoded, frame.left, frame.right, frame.geometry)
         least = self._least(score)
         return decoded.select(decoded.score > least) if least > OCCLUDER_SCORE else decoded
 

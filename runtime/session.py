@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import logging
 import mmap
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,10 +23,7 @@ from onnxruntime.capi import onnxruntime_pybind11_state as ort_state
 
 from runtime.contracts.correlation import DOMAIN
 from runtime.contracts.errors import SessionError
-from runtime.native.library import library_path
-
-ENVIRONMENT_SWITCH = "EDGE_NATIVE"
-"""Environment variable; the value 0 turns the native library off."""
+from runtime.native.library import is_wanted, library_path
 
 NOT_BUILT = (
     "native correlation library: not built, so the model's own function body serves (same results, slower);"
@@ -186,7 +182,7 @@ def open_session(
 
     options = _options(threads=threads, profile=profile, optimize=optimize, prepack=prepack)
     native_loaded, notice = False, None
-    if use_native and os.environ.get(ENVIRONMENT_SWITCH, "1") != "0":
+    if use_native and is_wanted():
         refusal = _register_native(options)
         native_loaded = refusal is None
         if refusal is not None:

@@ -33,7 +33,13 @@ LINK_FLAGS = ("-shared", "-static-libstdc++", "-static-libgcc", "-Wl,--exclude-l
 """The C++ runtime inside and hidden, so that the library runs on older systems and meets no other copy."""
 
 _AVX512 = ("-mavx512f", "-mavx512bw", "-mfma")
-_ANYWHERE: dict[str, tuple[str, ...]] = {"correlation_scalar.cc": (), "dispatch.cc": ()}
+_ANYWHERE: dict[str, tuple[str, ...]] = {
+    "correlation_scalar.cc": (),
+    "dispatch.cc": (),
+    "matching.cc": (),
+    "refine.cc": (),
+}
+_ENTRIES = ("register.cc", "entry.cc")
 _X86 = {
     "correlation_avx2.cc": ("-mavx2", "-mfma"),
     "correlation_avx512.cc": _AVX512,
@@ -131,7 +137,7 @@ def build(directory: Path) -> Path:
         BuildError: There is no compiler, or it fails.
     """
     compiler = find_compiler()
-    sources = [SOURCE_DIRECTORY / name for name in (*kernel_flags(platform.machine()), "register.cc")]
+    sources = [SOURCE_DIRECTORY / name for name in (*kernel_flags(platform.machine()), *_ENTRIES)]
     directory.mkdir(parents=True, exist_ok=True)
     try:
         with tempfile.TemporaryDirectory(prefix="edge-stereo-") as scratch:

@@ -11,7 +11,12 @@
 #include <cstddef>
 #include <cstdint>
 
+#define EDGE_EXPORT extern "C" __attribute__((visibility("default")))
+
 namespace edge {
+
+// Environment variable: the name of an instruction set, to run less than the machine can.
+constexpr char kInstructionSet[] = "EDGE_NATIVE_ISA";
 
 struct Shape {
   int64_t batch;

@@ -3,10 +3,18 @@
 from __future__ import annotations
 
 import ctypes
+import os
 from importlib.resources import files
 from pathlib import Path
 
 from runtime.native.build import LIBRARY_NAME
+
+ENVIRONMENT_SWITCH = "EDGE_NATIVE"
+
+
+def is_wanted() -> bool:
+    """Whether the library may be used: ``EDGE_NATIVE=0`` in the environment turns it off."""
+    return os.environ.get(ENVIRONMENT_SWITCH, "1") != "0"
 
 
 def library_path() -> Path | None:

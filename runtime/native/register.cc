@@ -18,8 +18,6 @@ namespace {
 
 constexpr char kDomain[] = "edge.stereo";
 constexpr char kAttribute[] = "max_disparity";
-// Environment variable: the name of an instruction set, to run less than the machine can.
-constexpr char kInstructionSet[] = "EDGE_NATIVE_ISA";
 constexpr int64_t kRowsPerTask = 4;
 
 constexpr size_t kFloatInputs = 2;
@@ -304,8 +302,6 @@ OrtStatus* SharedDomain(const OrtApi& api, const void* table, OrtCustomOpDomain*
 }  // namespace
 }  // namespace edge
 
-#define EDGE_EXPORT extern "C" __attribute__((visibility("default")))
-
 // What SessionOptions.register_custom_ops_library looks for.
 EDGE_EXPORT edge::OrtStatus* RegisterCustomOps(edge::OrtSessionOptions* options,
                                                const edge::OrtApiBase* base) {
@@ -320,11 +316,4 @@ EDGE_EXPORT edge::OrtStatus* RegisterCustomOps(edge::OrtSessionOptions* options,
   edge::OrtCustomOpDomain* domain = nullptr;
   EDGE_RETURN_IF_ERROR(edge::SharedDomain(api, table, &domain));
   return api.AddDomain(options, domain);
-}
-
-// The name of the instruction set that sessions would use now, or null where EDGE_NATIVE_ISA names
-// one that this machine does not run.
-EDGE_EXPORT const char* EdgeStereoInstructionSet() {
-  const edge::Kernels* kernels = edge::SelectKernels(std::getenv(edge::kInstructionSet));
-  return kernels != nullptr ? kernels->name : nullptr;
 }

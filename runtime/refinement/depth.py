@@ -20,8 +20,9 @@ import numpy as np
 
 from runtime.contracts.geometry import StereoGeometry
 from runtime.contracts.objects import Detections3D
-from runtime.refinement.matching import WINDOW_PX, Matching, Pixels, normalised
+from runtime.refinement.matching import WINDOW_PX, Pixels, best_depth, normalised
 from runtime.refinement.occluders import seen_samples
+from runtime.refinement.samples import BoxSamples
 from runtime.refinement.surface import FEWEST, VEHICLES, sample_positions, surface_behind_center
 
 
@@ -39,8 +40,8 @@ def refine_depths(found: Detections3D, left: Pixels, right: Pixels, geometry: St
     """
     if len(found) == 0:
         return found
-    first, last = _rows(found, left.shape[0])
-    views = tuple(normalised(image[first:last]) for image in (left, right))
+    first, last = image_rows(found, left.shape[0])
+    views = (normalised(left[first:last]), normalised(right[first:last]))
     P2, P3 = geometry.P2, geometry.P3
     focal_baseline, offset_px = float(P2[0, 3] - P3[0, 3]), float(P2[0, 2] - P3[0, 2])
     shift = np.array([P2[0, 3] / P2[0, 0], P2[1, 3] / P2[1, 1], 0.0])
@@ -68,23 +69,22 @@ def refine_depths(found: Detections3D, left: Pixels, right: Pixels, geometry: St
         seen = np.ones((len(rows), len(columns)), np.bool_)
         if solid:
             seen = seen_samples(found, int(row), centers[:, 2], columns, rows)
-        matching = Matching(
-            views[0],
-            views[1],
+        samples = BoxSamples.look(
+            *views,
             columns,
             rows - first,
             seen,
             behind_m,
-            focal_baseline,
-            offset_px,
+            focal_baseline=focal_baseline,
+            offset_px=offset_px,
             solid=solid,
         )
-        depth_m = matching.best_depth(float(centers[row, 2]))
+        depth_m = best_depth(samples, float(centers[row, 2]))
         centers[row] = (centers[row] + shift) * (depth_m / centers[row, 2]) - shift
     return dataclasses.replace(found, center_in_camera=centers)
 
 
-def _rows(found: Detections3D, height: int) -> tuple[int, int]:
+def image_rows(found: Detections3D, height: int) -> tuple[int, int]:
     """First and last image row that any box, and the window about it, reaches."""
     boxes = found.box_in_left_image
     first = int(np.clip(np.floor(boxes[:, 1].min()) - WINDOW_PX, 0, height - 1))

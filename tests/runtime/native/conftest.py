@@ -13,7 +13,11 @@ from runtime.native import library
 from runtime.native.build import BuildError, build, find_compiler, kernel_flags
 from runtime.native.library import library_path
 
-INSTRUCTION_SETS = [name.removesuffix(".cc").split("_")[1] for name in kernel_flags(platform.machine()) if "_" in name]
+INSTRUCTION_SETS = [
+    name.removesuffix(".cc").split("_")[1]
+    for name in kernel_flags(platform.machine())
+    if name.startswith("correlation_")
+]
 
 
 @pytest.fixture(scope="session")

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "correlation.h"
+#include "refine.h"
 
 namespace {
 
@@ -113,6 +114,67 @@ int CheckQuantized(const Kernels& kernels, const Shape& s, std::mt19937& random)
   return wrong;
 }
 
+// Boxes anywhere, also outside the image and of no size, in images of exactly the needed size.
+int CheckRefine(std::mt19937& random) {
+  const edge::RefineRules rules = {{0.06, 0.15, 0.12},
+                                   {0.25, 0.08, 0.12},
+                                   {6.0, 8.0},
+                                   {0.92, 0.92},
+                                   {0.7, 0.85},
+                                   0.42,
+                                   0.5,
+                                   0.5,
+                                   0.5,
+                                   0.05,
+                                   0.25,
+                                   0.7,
+                                   1.0,
+                                   0.8,
+                                   0.3,
+                                   4.0,
+                                   0.06,
+                                   0.02,
+                                   2.0,
+                                   2.0,
+                                   1e3,
+                                   28,
+                                   24,
+                                   4,
+                                   3,
+                                   8,
+                                   33,
+                                   9};
+  const int64_t height = 70, width = 121, first_row = 5, boxes = 200;
+  std::uniform_real_distribution<double> uniform(0.0, 1.0);
+  std::vector<float> left(height * width), right(height * width);
+  for (float& value : left) value = static_cast<float>(uniform(random));
+  for (float& value : right) value = static_cast<float>(uniform(random));
+  std::vector<double> corners, size, yaw, score, centers;
+  std::vector<uint8_t> solid;
+  std::vector<int64_t> order;
+  for (int64_t i = 0; i < boxes; ++i) {
+    const double x = 160.0 * uniform(random) - 20.0, y = 90.0 * uniform(random) - 10.0;
+    const double bottom = std::min(y + 80.0 * uniform(random), static_cast<double>(height + 4));
+    corners.insert(corners.end(), {x, y, x + 90.0 * uniform(random), bottom});
+    size.insert(size.end(), {1.5, 1.6, 4.0 * uniform(random)});
+    yaw.push_back(6.0 * uniform(random));
+    score.push_back(uniform(random));
+    solid.push_back(uniform(random) < 0.7);
+    order.push_back(i);
+    centers.insert(centers.end(), {4.0 * uniform(random) - 2.0, 0.0, 60.0 * uniform(random)});
+  }
+  const std::vector<double> before = centers;
+  const edge::RefineFrame frame = {
+      left.data(),  right.data(),   height,      width,      first_row,    height + first_row,
+      boxes,        corners.data(), size.data(), yaw.data(), score.data(), solid.data(),
+      order.data(), centers.data(), 100.0,       60.0,       50.0,         0.5,
+      {0.05, 0.0}};
+  edge::RefineDepths(frame, rules);
+  int wrong = centers == before;  // some must have moved
+  for (const double value : centers) wrong += !std::isfinite(value);
+  return wrong;
+}
+
 }  // namespace
 
 int main() {
@@ -133,6 +195,9 @@ int main() {
     std::printf("%s: %d wrong\n", name, here);
     wrong += here;
   }
+  const int refined = CheckRefine(random);
+  std::printf("refine: %d wrong\n", refined);
+  wrong += refined;
   if (edge::SelectKernels("mmx") != nullptr || edge::SelectKernels(nullptr) == nullptr) ++wrong;
   return wrong == 0 ? 0 : 1;
 }

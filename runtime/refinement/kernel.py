@@ -1,0 +1,153 @@
+"""`runtime.refinement.refine_depths` by the native library (``refine.h``): the same depths, many times as fast."""
+
+from __future__ import annotations
+
+import ctypes
+import dataclasses
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.contracts.geometry import StereoGeometry
+from runtime.contracts.objects import Detections3D
+from runtime.native.library import is_wanted, library_path
+from runtime.refinement import matching, mismatch, occluders, samples, surface
+from runtime.refinement.depth import image_rows, refine_depths
+from runtime.refinement.matching import Pixels, normalised
+
+RefineDepths = Callable[[Detections3D, Pixels, Pixels, StereoGeometry], Detections3D]
+
+_SYMBOL = "EdgeRefineDepths"
+_DOUBLE, _INT = ctypes.c_double, ctypes.c_int64
+
+
+_NUMBERS = {
+    "vehicle_margins": 3,
+    "person_margins": 3,
+    "smallest_box_px": 2,
+    "body_shares": 2,
+    "cabin_shares": 2,
+    "belt_share": 1,
+    "occluder_score": 1,
+    "nearer_by_m": 1,
+    "same_object_iou": 1,
+    "inset_share": 1,
+    "least_seen_share": 1,
+    "vehicle_saturation": 1,
+    "person_saturation": 1,
+    "trusted_share": 1,
+    "least_patch_share": 1,
+    "range_px": 1,
+    "range_share": 1,
+    "prior_per_px2": 1,
+    "prior_limit_px2": 1,
+    "least_disparity_px": 1,
+    "no_match": 1,
+}
+_COUNTS = ("most_columns", "most_rows", "fewest", "patch_rows", "patch_columns", "coarse_steps", "fine_steps")
+_RULES_OF = (surface, occluders, samples, mismatch, matching)
+"""The modules whose constants are the rules, each by its field's name in capitals."""
+
+
+class _Rules(ctypes.Structure):
+    """``edge::RefineRules``."""
+
+    _fields_ = (
+        *((name, _DOUBLE * length) for name, length in _NUMBERS.items()),
+        *((name, _INT) for name in _COUNTS),
+    )
+
+
+class _Frame(ctypes.Structure):
+    """``edge::RefineFrame``."""
+
+    _fields_ = (
+        ("left", ctypes.c_void_p),
+        ("right", ctypes.c_void_p),
+        ("height", _INT),
+        ("width", _INT),
+        ("first_row", _INT),
+        ("image_height", _INT),
+        ("box_count", _INT),
+        ("boxes", ctypes.c_void_p),
+        ("size_hwl", ctypes.c_void_p),
+        ("yaw_rad", ctypes.c_void_p),
+        ("score", ctypes.c_void_p),
+        ("solid", ctypes.c_void_p),
+        ("order", ctypes.c_void_p),
+        ("centers", ctypes.c_void_p),
+        ("focal_px", _DOUBLE),
+        ("principal_column_px", _DOUBLE),
+        ("focal_baseline", _DOUBLE),
+        ("offset_px", _DOUBLE),
+        ("shift_m", _DOUBLE * 2),
+    )
+
+
+def refiner(*, use_native: bool = True) -> RefineDepths:
+    """The fastest `refine_depths` that there is: the library's; in NumPy where that is not built or not wanted."""
+    path = library_path() if use_native and is_wanted() else None
+    kernel = None if path is None else _kernel(path)
+    if kernel is None:
+        return refine_depths
+
+    def refine(found: Detections3D, left: Pixels, right: Pixels, geometry: StereoGeometry) -> Detections3D:
+        if len(found) == 0:
+            return found
+        centers = _refined_centers(kernel, found, left, right, geometry)
+        return dataclasses.replace(found, center_in_camera=centers)
+
+    return refine
+
+
+@cache
+def _kernel(path: Path) -> Any:
+    try:
+        kernel = getattr(ctypes.CDLL(str(path)), _SYMBOL)
+    except (OSError, AttributeError):  # an older build lacks it
+        return None
+    kernel.restype = None
+    kernel.argtypes = (ctypes.POINTER(_Frame), ctypes.POINTER(_Rules))
+    return kernel
+
+
+def _refined_centers(
+    kernel: Any, found: Detections3D, left: Pixels, right: Pixels, geometry: StereoGeometry
+) -> NDArray[np.float64]:
+    """(N, 3) metres."""
+    first, last = image_rows(found, left.shape[0])
+    views = [np.ascontiguousarray(normalised(image[first:last])) for image in (left, right)]
+    centers = np.array(found.center_in_camera, np.float64)
+    solid = np.array([name in surface.VEHICLES for name in found.class_names], np.uint8)[found.class_id]
+    order = np.argsort(centers[:, 2], kind="stable").astype(np.int64)
+    columns: list[NDArray[Any]] = [
+        np.ascontiguousarray(item) for item in (found.box_in_left_image, found.size_hwl, found.yaw_rad)
+    ]
+    columns += [np.ascontiguousarray(found.score), solid, order]
+    P2, P3 = geometry.P2, geometry.P3
+    frame = _Frame(
+        *(view.ctypes.data for view in views),
+        *views[0].shape,
+        first,
+        left.shape[0],
+        len(found),
+        *(item.ctypes.data for item in columns),
+        centers.ctypes.data,
+        P2[0, 0],
+        P2[0, 2],
+        P2[0, 3] - P3[0, 3],
+        P2[0, 2] - P3[0, 2],
+        (_DOUBLE * 2)(P2[0, 3] / P2[0, 0], P2[1, 3] / P2[1, 1]),
+    )
+    kernel(ctypes.byref(frame), ctypes.byref(_rules()))
+    return centers
+
+
+def _rules() -> _Rules:
+    constants = {name: value for module in _RULES_OF for name, value in vars(module).items() if name.isupper()}
+    numbers = [(_DOUBLE * length)(*np.atleast_1d(constants[name.upper()])) for name, length in _NUMBERS.items()]
+    return _Rules(*numbers, *(constants[name.upper()] for name in _COUNTS))
