@@ -20,6 +20,7 @@ from runtime.contracts.manifest import Manifest, ModelDirectory, open_model_dire
 from runtime.contracts.objects import Detections3D
 from runtime.preprocess import NetworkView, network_view, prepare
 from runtime.readout import Readout
+from runtime.refinement import Refined
 from runtime.rig import check_rig
 from runtime.session import Session, open_session
 
@@ -104,6 +105,17 @@ class Detector:
         refined = time.perf_counter()
         times = (prepared - began, inferred - prepared, decoded - inferred, refined - decoded)
         return detections, {stage: 1e3 * secs for stage, secs in zip(STAGES, times, strict=True)}
+
+    def look(self, frame: StereoFrame) -> Refined:
+        """The boxes of a frame from the manifest's ``evaluate`` score on, with the network's scores, and what was
+        learned of their depths.
+
+        Raises:
+            FrameError, RigError, SessionError: as when called.
+        """
+        view = self.view(frame.geometry)
+        outputs = self._run(prepare(frame, view, self.manifest))
+        return self._readout.look(self._readout.decode(*outputs, view), frame)
 
     def view(self, geometry: StereoGeometry) -> NetworkView:
         """How the model sees this camera; checked against the model's rig when the camera changes.

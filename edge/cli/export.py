@@ -34,6 +34,10 @@ def export_command(
         Optional[Path],  # noqa: UP045 - typer reads this form
         typer.Option(help="Priors file, or folder of it or of the official tables; default: beside the checkpoint."),
     ] = None,
+    confidence: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option(help="File of `edge confidence`; default: WEIGHTS-confidence.json beside the checkpoint, if any."),
+    ] = None,
     ablate: Annotated[
         Optional[list[str]],  # noqa: UP045
         typer.Option(help="Ablation that the weights were trained with, see docs/paper.md; give it again for more."),
@@ -73,10 +77,12 @@ def export_command(
     from export.parity import measure_parity
     from export.to_onnx import to_onnx
     from export.views import FromPixels
+    from runtime.contracts.confidence import read_confidence
     from runtime.contracts.errors import GoalMissedError
     from runtime.contracts.manifest import file_sha256
     from runtime.model_folder import check_place
     from runtime.native.library import library_path
+    from runtime.refinement import check_confidence
     from runtime.sources.factory import open_sequence
 
     check_place(out)
@@ -99,6 +105,14 @@ def export_command(
     if origin is not None:
         console.print(f"priors: {origin}", soft_wrap=True)
     check_priors(checkpoint, tables, chosen.classes)
+    beside = checkpoint.with_name(f"{checkpoint.stem}-confidence.json")
+    if confidence is None and beside.is_file() and manifest.depth_refinement:
+        confidence = beside
+        console.print(f"confidence: {beside}", soft_wrap=True)
+    trusted = None if confidence is None else read_confidence(confidence)
+    if trusted is not None:
+        check_confidence(trusted.weights, manifest.classes)
+        manifest = dataclasses.replace(manifest, confidence=trusted.weights)
     network: nn.Module = detector.eval()
     if input_type is InputType.UINT8:
         network = FromPixels(detector, mean=manifest.normalisation.mean, std=manifest.normalisation.std).eval()
@@ -128,6 +142,8 @@ def export_command(
     }
     if origin is not None:
         provenance["priors"] = origin
+    if trusted is not None:
+        provenance |= {f"confidence_{name}": value for name, value in trusted.facts.items()}
     manifest = dataclasses.replace(manifest, provenance=provenance)
     card = model_card(manifest, checkpoint, parity=f"{'; '.join(lines)}.")
     write_model_directory(out, model, manifest, priors=tables, card=card)

@@ -23,6 +23,7 @@ COMMANDS = (
     "priors",
     "train",
     "export",
+    "confidence",
     "quantize",
     "accuracy",
     "evaluate",

@@ -144,8 +144,9 @@ class Manifest:
         preset: preset name; classes: names in channel order; input_size_hw: network pixels; input_type: of the graph
         inputs; views: 2 for stereo, 1 for mono; recipe: how the numbers are stored (``float32`` or a quantisation
         recipe's name); hill_climbing, depth_refinement: what happens to boxes after decoding
-        (`runtime.hill_climbing`, `runtime.refinement`); sha256: of model.onnx and priors.npz, by file name; tools:
-        versions; provenance: free text facts (checkpoint hash, calibration frames, command).
+        (`runtime.hill_climbing`, `runtime.refinement`); confidence: of refined boxes, class to the weights of
+        `runtime.refinement.confidence`; sha256: of model.onnx and priors.npz, by file name; tools: versions;
+        provenance: free text facts (checkpoint hash, calibration frames, command).
     """
 
     preset: str
@@ -162,6 +163,7 @@ class Manifest:
     recipe: str = "float32"
     hill_climbing: bool = False
     depth_refinement: bool = False
+    confidence: dict[str, tuple[float, ...]] = field(default_factory=dict)
     operators: OperatorVersion = field(default_factory=OperatorVersion)
     sha256: dict[str, str] = field(default_factory=dict)
     tools: dict[str, str] = field(default_factory=dict)

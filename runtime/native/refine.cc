@@ -13,6 +13,7 @@ namespace {
 
 constexpr double kNowhere = std::numeric_limits<double>::quiet_NaN();
 constexpr double kTiny = 1e-9;
+constexpr int64_t kEvidence = 6;
 
 double Clip(double value, double low, double high) { return std::min(std::max(value, low), high); }
 
@@ -96,8 +97,12 @@ class Refiner {
     double* center = frame_.centers + 3 * box;
     if (!(center[2] > 0.0) || !Sample(box)) return;
     Hide(box);
+    double* evidence = frame_.evidence + kEvidence * box;
+    evidence[kEvidence - 1] = HiddenShare();
     if (!Look(box)) return;
-    const double depth_m = BestDepth();
+    const double move = BestMove();
+    const double depth_m = frame_.focal_baseline / (start_px_ + move);
+    Judge(move, evidence);
     const double farther = depth_m / center[2];
     center[0] = (center[0] + frame_.shift_m[0]) * farther - frame_.shift_m[0];
     center[1] = (center[1] + frame_.shift_m[1]) * farther - frame_.shift_m[1];
@@ -203,6 +208,12 @@ class Refiner {
     if (sum < rules_.least_seen_share * static_cast<double>(seen_.size())) {
       std::fill(seen_.begin(), seen_.end(), 1.0f);
     }
+  }
+
+  double HiddenShare() const {
+    double sum = 0.0;
+    for (const float value : seen_) sum += value;
+    return 1.0 - sum / static_cast<double>(seen_.size());
   }
 
   static double Overlap(const double* one, const double* other) {
@@ -313,22 +324,27 @@ class Refiner {
     places_.resize(static_cast<size_t>(samples_.stride));
   }
 
-  // Costs of moves of the centre's disparity, the prior among them; gives the lowest one's place.
+  // Costs of moves of the centre's disparity, plain and with the prior; gives the lowest one's
+  // place.
   size_t Costs() {
     centers_.resize(moves_.size());
     costs_.resize(moves_.size());
+    plain_.resize(moves_.size());
     for (size_t i = 0; i < moves_.size(); ++i) centers_[i] = start_px_ + moves_[i];
-    MatchCosts(samples_, centers_.data(), static_cast<int64_t>(moves_.size()), costs_.data(),
+    MatchCosts(samples_, centers_.data(), static_cast<int64_t>(moves_.size()), plain_.data(),
                scratch_.data(), places_.data());
     for (size_t i = 0; i < moves_.size(); ++i) {
-      costs_[i] += rules_.prior_per_px2 * std::min(moves_[i] * moves_[i], rules_.prior_limit_px2);
+      costs_[i] = plain_[i] +
+                  rules_.prior_per_px2 * std::min(moves_[i] * moves_[i], rules_.prior_limit_px2);
     }
     return static_cast<size_t>(std::min_element(costs_.begin(), costs_.end()) - costs_.begin());
   }
 
-  double BestDepth() {
+  double BestMove() {
     Spread(-reach_px_, reach_px_, rules_.coarse_steps, moves_);
     const double step = moves_[1] - moves_[0], middle = moves_[Costs()];
+    coarse_moves_ = moves_;
+    coarse_costs_ = plain_;
     Spread(middle - step, middle + step, rules_.fine_steps, moves_);
     const size_t lowest = Costs();
     double move = moves_[lowest];
@@ -337,7 +353,37 @@ class Refiner {
       move += 0.5 * (moves_[1] - moves_[0]) *
               ((before - after) / (before - 2.0 * here + after + kTiny));
     }
-    return frame_.focal_baseline / (start_px_ + move);
+    return move;
+  }
+
+  // The cost of a move, between those that were tried.
+  double CostAt(double move) const {
+    const auto after = std::upper_bound(coarse_moves_.begin(), coarse_moves_.end(), move);
+    if (after == coarse_moves_.begin()) return coarse_costs_.front();
+    if (after == coarse_moves_.end()) return coarse_costs_.back();
+    const size_t next = static_cast<size_t>(after - coarse_moves_.begin());
+    const double share =
+        (move - coarse_moves_[next - 1]) / (coarse_moves_[next] - coarse_moves_[next - 1]);
+    return coarse_costs_[next - 1] + share * (coarse_costs_[next] - coarse_costs_[next - 1]);
+  }
+
+  // How far the match can be believed: all columns of the evidence but the last.
+  void Judge(double move, double* evidence) const {
+    const double cost = CostAt(move);
+    double rival = std::numeric_limits<double>::infinity();
+    for (size_t i = 0; i < coarse_moves_.size(); ++i) {
+      if (std::fabs(coarse_moves_[i] - move) > rules_.elsewhere_px) {
+        rival = std::min(rival, coarse_costs_[i]);
+      }
+    }
+    if (std::isinf(rival)) rival = 1.0;
+    evidence[0] = cost;
+    evidence[1] = CostAt(0.0) - cost;
+    evidence[2] = std::min(rival - cost, rules_.most_difference);
+    evidence[3] =
+        std::min(std::fabs(move), rules_.most_shift_px) / std::sqrt(std::max(start_px_, 1.0));
+    evidence[4] =
+        std::min(0.5 * (CostAt(move - 1.0) + CostAt(move + 1.0)) - cost, rules_.most_difference);
   }
 
   const RefineFrame& frame_;
@@ -345,7 +391,8 @@ class Refiner {
   const Lookup left_, right_;
   double start_px_ = 0.0, reach_px_ = 0.0;
   MatchSamples samples_ = {};
-  std::vector<double> columns_, rows_, body_, cabin_, moves_, centers_, costs_;
+  std::vector<double> columns_, rows_, body_, cabin_, moves_, centers_, costs_, plain_;
+  std::vector<double> coarse_moves_, coarse_costs_;
   std::vector<char> above_belt_;
   std::vector<float> seen_, behind_, wanted_, weight_, strips_, shifted_, patch_samples_, scratch_;
   std::vector<int64_t> row_starts_, column_starts_;

@@ -19,6 +19,7 @@ struct RefineRules {
   double trusted_share, least_patch_share;
   double range_px, range_share, prior_per_px2, prior_limit_px2, least_disparity_px;
   double no_match;
+  double elsewhere_px, most_difference, most_shift_px;
   int64_t most_columns, most_rows, fewest;
   int64_t patch_rows, patch_columns;
   int64_t coarse_steps, fine_steps;
@@ -37,6 +38,7 @@ struct RefineFrame {
   const uint8_t* solid;    // [N] vehicles
   const int64_t* order;    // [N] rows from near to far
   double* centers;         // [N, 3] metres; written
+  double* evidence;        // [N, 6] columns of runtime/refinement/evidence.py; written
   double focal_px, principal_column_px;
   double focal_baseline, offset_px;
   double shift_m[2];  // from the reference frame to the left camera's, x and y

@@ -20,13 +20,14 @@ import numpy as np
 
 from runtime.contracts.geometry import StereoGeometry
 from runtime.contracts.objects import Detections3D
+from runtime.refinement.evidence import UNSEARCHED, Refined
 from runtime.refinement.matching import WINDOW_PX, Pixels, best_depth, normalised
 from runtime.refinement.occluders import seen_samples
 from runtime.refinement.samples import BoxSamples
 from runtime.refinement.surface import FEWEST, VEHICLES, sample_positions, surface_behind_center
 
 
-def refine_depths(found: Detections3D, left: Pixels, right: Pixels, geometry: StereoGeometry) -> Detections3D:
+def refine_depths(found: Detections3D, left: Pixels, right: Pixels, geometry: StereoGeometry) -> Refined:
     """Moves boxes along their rays to where the two views match best.
 
     Args:
@@ -38,8 +39,9 @@ def refine_depths(found: Detections3D, left: Pixels, right: Pixels, geometry: St
         The same boxes, in the same order, with other centres. Boxes that are too small, too far or show no side are
         returned as they were.
     """
+    evidence = np.tile(UNSEARCHED, (len(found), 1))
     if len(found) == 0:
-        return found
+        return Refined(found, evidence)
     first, last = image_rows(found, left.shape[0])
     views = (normalised(left[first:last]), normalised(right[first:last]))
     P2, P3 = geometry.P2, geometry.P3
@@ -79,9 +81,10 @@ def refine_depths(found: Detections3D, left: Pixels, right: Pixels, geometry: St
             offset_px=offset_px,
             solid=solid,
         )
-        depth_m = best_depth(samples, float(centers[row, 2]))
+        depth_m, evidence[row, :-1] = best_depth(samples, float(centers[row, 2]))
+        evidence[row, -1] = 1.0 - seen.mean()
         centers[row] = (centers[row] + shift) * (depth_m / centers[row, 2]) - shift
-    return dataclasses.replace(found, center_in_camera=centers)
+    return Refined(dataclasses.replace(found, center_in_camera=centers), evidence)
 
 
 def image_rows(found: Detections3D, height: int) -> tuple[int, int]:

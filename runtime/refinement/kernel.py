@@ -15,11 +15,13 @@ from numpy.typing import NDArray
 from runtime.contracts.geometry import StereoGeometry
 from runtime.contracts.objects import Detections3D
 from runtime.native.library import is_wanted, library_path
+from runtime.refinement import evidence as evidence_rules
 from runtime.refinement import matching, mismatch, occluders, samples, surface
 from runtime.refinement.depth import image_rows, refine_depths
+from runtime.refinement.evidence import UNSEARCHED, Refined
 from runtime.refinement.matching import Pixels, normalised
 
-RefineDepths = Callable[[Detections3D, Pixels, Pixels, StereoGeometry], Detections3D]
+RefineDepths = Callable[[Detections3D, Pixels, Pixels, StereoGeometry], Refined]
 
 _SYMBOL = "EdgeRefineDepths"
 _DOUBLE, _INT = ctypes.c_double, ctypes.c_int64
@@ -47,9 +49,12 @@ _NUMBERS = {
     "prior_limit_px2": 1,
     "least_disparity_px": 1,
     "no_match": 1,
+    "elsewhere_px": 1,
+    "most_difference": 1,
+    "most_shift_px": 1,
 }
 _COUNTS = ("most_columns", "most_rows", "fewest", "patch_rows", "patch_columns", "coarse_steps", "fine_steps")
-_RULES_OF = (surface, occluders, samples, mismatch, matching)
+_RULES_OF = (surface, occluders, samples, mismatch, matching, evidence_rules)
 """The modules whose constants are the rules, each by its field's name in capitals."""
 
 
@@ -80,6 +85,7 @@ class _Frame(ctypes.Structure):
         ("solid", ctypes.c_void_p),
         ("order", ctypes.c_void_p),
         ("centers", ctypes.c_void_p),
+        ("evidence", ctypes.c_void_p),
         ("focal_px", _DOUBLE),
         ("principal_column_px", _DOUBLE),
         ("focal_baseline", _DOUBLE),
@@ -95,11 +101,12 @@ def refiner(*, use_native: bool = True) -> RefineDepths:
     if kernel is None:
         return refine_depths
 
-    def refine(found: Detections3D, left: Pixels, right: Pixels, geometry: StereoGeometry) -> Detections3D:
+    def refine(found: Detections3D, left: Pixels, right: Pixels, geometry: StereoGeometry) -> Refined:
+        evidence = np.tile(UNSEARCHED, (len(found), 1))
         if len(found) == 0:
-            return found
-        centers = _refined_centers(kernel, found, left, right, geometry)
-        return dataclasses.replace(found, center_in_camera=centers)
+            return Refined(found, evidence)
+        centers = _refined_centers(kernel, found, left, right, geometry, evidence=evidence)
+        return Refined(dataclasses.replace(found, center_in_camera=centers), evidence)
 
     return refine
 
@@ -116,9 +123,15 @@ def _kernel(path: Path) -> Any:
 
 
 def _refined_centers(
-    kernel: Any, found: Detections3D, left: Pixels, right: Pixels, geometry: StereoGeometry
+    kernel: Any,
+    found: Detections3D,
+    left: Pixels,
+    right: Pixels,
+    geometry: StereoGeometry,
+    *,
+    evidence: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """(N, 3) metres."""
+    """(N, 3) metres; ``evidence`` is filled in."""
     first, last = image_rows(found, left.shape[0])
     views = [np.ascontiguousarray(normalised(image[first:last])) for image in (left, right)]
     centers = np.array(found.center_in_camera, np.float64)
@@ -137,6 +150,7 @@ def _refined_centers(
         len(found),
         *(item.ctypes.data for item in columns),
         centers.ctypes.data,
+        evidence.ctypes.data,
         P2[0, 0],
         P2[0, 2],
         P2[0, 3] - P3[0, 3],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import cv2
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.contracts.geometry import FloatArray
+from runtime.refinement.evidence import UNSEARCHED, match_evidence
 from runtime.refinement.mismatch import mismatch
 from runtime.refinement.samples import BoxSamples, FloatImage
 
@@ -42,7 +44,7 @@ def normalised(image: Pixels) -> FloatImage:
     return result
 
 
-def best_depth(samples: BoxSamples, depth_m: float) -> float:
+def best_depth(samples: BoxSamples, depth_m: float) -> tuple[float, Sequence[float]]:
     """Depth of the box's centre, metres, at which its samples match best; starts from the network's.
 
     The search looks as far to either side; up to the least disparity it narrows to nothing.
@@ -50,23 +52,27 @@ def best_depth(samples: BoxSamples, depth_m: float) -> float:
     Args:
         samples: of the box.
         depth_m: the network's.
+
+    Returns:
+        The depth, and what `match_evidence` says of it.
     """
     start_px = samples.focal_baseline / depth_m
     reach_px = min(RANGE_PX + RANGE_SHARE * start_px, start_px - LEAST_DISPARITY_PX)
     if reach_px <= 0:
-        return depth_m
-
-    def costs_of(moves: FloatArray) -> FloatArray:
-        return mismatch(samples, start_px + moves) + PRIOR_PER_PX2 * np.minimum(moves**2, PRIOR_LIMIT_PX2)
-
+        return depth_m, UNSEARCHED[:-1]
     moves = np.linspace(-reach_px, reach_px, COARSE_STEPS)
     step = moves[1] - moves[0]
-    middle = moves[int(np.argmin(costs_of(moves)))]
+    coarse = mismatch(samples, start_px + moves)
+    middle = moves[int(np.argmin(coarse + _prior(moves)))]
     fine = np.linspace(middle - step, middle + step, FINE_STEPS)
-    costs = costs_of(fine)
+    costs = mismatch(samples, start_px + fine) + _prior(fine)
     lowest = int(np.argmin(costs))
     move = float(fine[lowest])
     if 0 < lowest < len(fine) - 1:
         before, here, after = costs[lowest - 1 : lowest + 2]
         move += 0.5 * float(fine[1] - fine[0]) * float((before - after) / (before - 2 * here + after + 1e-9))
-    return samples.focal_baseline / (start_px + move)
+    return samples.focal_baseline / (start_px + move), match_evidence(moves, coarse, start_px=start_px, move=move)
+
+
+def _prior(moves: FloatArray) -> FloatArray:
+    return PRIOR_PER_PX2 * np.minimum(moves**2, PRIOR_LIMIT_PX2)

@@ -17,6 +17,7 @@ CLASSES = ("Car", "Pedestrian")
 REAR_TO_CENTER_M = 0.92 * 2.0
 SAME_SHARE = 1e-4
 """Of the depth, in which float32 sums of another order may end."""
+SAME_COST = 1e-3
 DEPTH_SHARE = 0.004
 """Half a hundredth of the depth, at 15 m a tenth of a pixel: what linear lookup of smooth texture leaves."""
 
@@ -80,14 +81,14 @@ def refine(request: pytest.FixtureRequest) -> RefineDepths:
 def test_nothing_found_stays_nothing(refine: RefineDepths) -> None:
     left, right = pair(wall(15.0))
     none = Detections3D.empty(CLASSES)
-    assert refine(none, left, right, rig()) is none
+    assert refine(none, left, right, rig()).detections is none
 
 
 @pytest.mark.parametrize("box", [(260, 60, 264, 180), (260, 60, 340, 66), (700, 60, 800, 180), (-90, -80, -5, -3)])
 def test_boxes_too_small_or_outside_stay(refine: RefineDepths, box: tuple[float, float, float, float]) -> None:
     left, right = pair(wall(15.0))
     found = one("Pedestrian", 14.0, box=box)
-    np.testing.assert_array_equal(refine(found, left, right, rig()).center_in_camera, found.center_in_camera)
+    np.testing.assert_array_equal(refine(found, left, right, rig()).detections.center_in_camera, found.center_in_camera)
 
 
 @pytest.mark.parametrize("depth_m", [175.0, 176.0, 400.0])
@@ -95,41 +96,41 @@ def test_beyond_two_pixels_of_disparity_depths_stay(refine: RefineDepths, depth_
     """Whatever stands there: a box of a far car is not pulled to the nearest depth that could be searched."""
     left, right = pair(wall(60.0))
     found = one("Pedestrian", depth_m)
-    np.testing.assert_array_equal(refine(found, left, right, rig()).center_in_camera, found.center_in_camera)
+    np.testing.assert_array_equal(refine(found, left, right, rig()).detections.center_in_camera, found.center_in_camera)
 
 
 @pytest.mark.parametrize("depth_m", [100.0, 150.0])
 def test_near_that_limit_the_search_stays_even(refine: RefineDepths, depth_m: float) -> None:
     """Flat pixels match everywhere: where nothing is seen the network's depth wins, as it does near by."""
     flat = np.full((SIZE_WH[1], SIZE_WH[0], 3), 90, np.uint8)
-    moved = refine(one("Pedestrian", depth_m), flat, flat, rig())
+    moved = refine(one("Pedestrian", depth_m), flat, flat, rig()).detections
     assert moved.center_in_camera[0, 2] == pytest.approx(depth_m, rel=1e-6)
 
 
 @pytest.mark.parametrize("start_m", [13.5, 14.5, 15.0, 16.5])
 def test_a_person_goes_to_the_depth_of_the_pixels(refine: RefineDepths, start_m: float) -> None:
     left, right = pair(wall(15.0))
-    moved = refine(one("Pedestrian", start_m), left, right, rig())
+    moved = refine(one("Pedestrian", start_m), left, right, rig()).detections
     assert moved.center_in_camera[0, 2] == pytest.approx(15.0, rel=DEPTH_SHARE)
 
 
 def test_a_car_is_as_far_behind_its_rear_as_it_is_long(refine: RefineDepths) -> None:
     left, right = pair(rear(15.0))
-    moved = refine(one("Car", 16.0), left, right, rig())
+    moved = refine(one("Car", 16.0), left, right, rig()).detections
     assert moved.center_in_camera[0, 2] == pytest.approx(15.0 + REAR_TO_CENTER_M, rel=DEPTH_SHARE)
 
 
 def test_exposure_of_one_view_does_not_matter(refine: RefineDepths) -> None:
     left, right = pair(wall(15.0))
     darker = (right.astype(np.float64) * 0.6 + 9.0).astype(np.uint8)
-    moved = refine(one("Pedestrian", 14.0), left, darker, rig())
+    moved = refine(one("Pedestrian", 14.0), left, darker, rig()).detections
     assert moved.center_in_camera[0, 2] == pytest.approx(15.0, rel=DEPTH_SHARE)
 
 
 def test_an_offset_of_the_right_image_that_the_projection_knows_does_not_matter(refine: RefineDepths) -> None:
     left, right = pair(wall(15.0), right_offset_px=1.5)
-    told = refine(one("Pedestrian", 14.5), left, right, rig(1.5)).center_in_camera[0, 2]
-    untold = refine(one("Pedestrian", 14.5), left, right, rig()).center_in_camera[0, 2]
+    told = refine(one("Pedestrian", 14.5), left, right, rig(1.5)).detections.center_in_camera[0, 2]
+    untold = refine(one("Pedestrian", 14.5), left, right, rig()).detections.center_in_camera[0, 2]
     assert told == pytest.approx(15.0, rel=DEPTH_SHARE)
     assert untold > 15.8  # 1.5 of 23 px
 
@@ -138,7 +139,7 @@ def test_what_stands_beside_the_object_counts_little(refine: RefineDepths) -> No
     depth = wall(15.0)
     depth[:275] = depth[325:] = 40.0
     left, right = pair(np.convolve(np.pad(depth, 2, mode="edge"), np.full(5, 0.2), mode="valid"))
-    moved = refine(one("Pedestrian", 14.3), left, right, rig())
+    moved = refine(one("Pedestrian", 14.3), left, right, rig()).detections
     assert moved.center_in_camera[0, 2] == pytest.approx(15.0, rel=DEPTH_SHARE)
 
 
@@ -166,7 +167,7 @@ def test_what_a_nearer_box_hides_does_not_count(refine: RefineDepths, score: flo
     nearer = dataclasses.replace(
         one("Car", 12.5 + REAR_TO_CENTER_M, box=(284, 50, 480, 200)), score=np.array([score], np.float64)
     )
-    moved = refine(both(one("Car", 16.6), nearer=nearer), left, right, rig()).center_in_camera[:, 2]
+    moved = refine(both(one("Car", 16.6), nearer=nearer), left, right, rig()).detections.center_in_camera[:, 2]
     right_m, hider_m = 15.0 + REAR_TO_CENTER_M, 12.5 + REAR_TO_CENTER_M
     assert moved[1] == pytest.approx(hider_m, rel=DEPTH_SHARE)
     assert moved[0] == pytest.approx(right_m if believed else hider_m, rel=2 * DEPTH_SHARE)
@@ -174,27 +175,27 @@ def test_what_a_nearer_box_hides_does_not_count(refine: RefineDepths, score: flo
 
 def test_what_hides_a_fifth_of_a_car_unfound_pulls_it_nowhere(refine: RefineDepths) -> None:
     left, right = behind_something(326)
-    moved = refine(one("Car", 16.0), left, right, rig())
+    moved = refine(one("Car", 16.0), left, right, rig()).detections
     assert moved.center_in_camera[0, 2] == pytest.approx(15.0 + REAR_TO_CENTER_M, rel=DEPTH_SHARE)
 
 
 def test_two_looks_at_one_object_do_not_hide_each_other(refine: RefineDepths) -> None:
     left, right = pair(rear(15.0))
     again = one("Car", 15.5, box=(262, 62, 342, 182))
-    moved = refine(both(one("Car", 17.5), nearer=again), left, right, rig()).center_in_camera[:, 2]
+    moved = refine(both(one("Car", 17.5), nearer=again), left, right, rig()).detections.center_in_camera[:, 2]
     np.testing.assert_allclose(moved, 15.0 + REAR_TO_CENTER_M, rtol=DEPTH_SHARE)
 
 
 def test_without_texture_the_depth_of_the_network_stays(refine: RefineDepths) -> None:
     flat = np.full((SIZE_WH[1], SIZE_WH[0], 3), 90, np.uint8)
-    moved = refine(one("Pedestrian", 14.0), flat, flat, rig())
+    moved = refine(one("Pedestrian", 14.0), flat, flat, rig()).detections
     assert moved.center_in_camera[0, 2] == pytest.approx(14.0, rel=1e-6)
 
 
 def test_only_the_distance_along_the_ray_changes(refine: RefineDepths) -> None:
     left, right = pair(wall(15.0))
     found = one("Pedestrian", 14.0)
-    moved = refine(found, left, right, rig())
+    moved = refine(found, left, right, rig()).detections
     for name in ("class_id", "score", "box_in_left_image", "size_hwl", "alpha_rad", "yaw_rad"):
         np.testing.assert_array_equal(getattr(moved, name), getattr(found, name))
     seen = [
@@ -206,7 +207,7 @@ def test_only_the_distance_along_the_ray_changes(refine: RefineDepths) -> None:
 
 def test_same_input_same_output(refine: RefineDepths) -> None:
     left, right = pair(wall(15.0))
-    first, again = (refine(one("Car", 16.0), left, right, rig()).center_in_camera for _ in range(2))
+    first, again = (refine(one("Car", 16.0), left, right, rig()).detections.center_in_camera for _ in range(2))
     np.testing.assert_array_equal(first, again)
 
 
@@ -236,10 +237,12 @@ def test_the_library_equals_numpy_on_drawn_boxes(monkeypatch: pytest.MonkeyPatch
         class_names=CLASSES,
     )
     for offset_px in (0.0, 0.7):
-        expected = refine_depths(drawn, left, right, rig(offset_px)).center_in_camera
-        found = native(drawn, left, right, rig(offset_px)).center_in_camera
+        oracle, native_result = (item(drawn, left, right, rig(offset_px)) for item in (refine_depths, native))
+        expected, found = oracle.detections.center_in_camera, native_result.detections.center_in_camera
         moved = np.any(expected != drawn.center_in_camera, axis=1)
         assert 0.2 * count < np.count_nonzero(moved) < count
         np.testing.assert_array_equal(np.any(found != drawn.center_in_camera, axis=1), moved)
         same = np.abs(found - expected).max(axis=1) < SAME_SHARE * expected[:, 2]
         assert np.mean(same) > 0.97  # between two minima as deep as each other rounding may choose
+        np.testing.assert_allclose(native_result.evidence[same], oracle.evidence[same], rtol=0, atol=SAME_COST)
+        assert np.any(oracle.evidence[:, -1] > 0)

@@ -32,7 +32,7 @@ from edge.training.stream import MixedFrames  # noqa: E402
 from edge.training.validation import BEST_FILE, VALIDATION_FILE, Validation, mean_moderate_ap  # noqa: E402
 from runtime.contracts.errors import EdgeError, SourceError  # noqa: E402
 from runtime.contracts.objects import Detections3D  # noqa: E402
-from runtime.refinement import refine_depths  # noqa: E402
+from runtime.refinement import refiner  # noqa: E402
 
 pytestmark = [pytest.mark.torch, pytest.mark.usefixtures("one_thread")]
 
@@ -366,7 +366,7 @@ def test_validation_refines_depths_as_the_exported_model_does(
         centers[refines] = [found.center_in_camera for found in measured]
     found = replace(measured[2], center_in_camera=centers[False][2])
     assert len(found) > 0
-    expected = refine_depths(found, frames[2].left, frames[2].right, frames[2].geometry).center_in_camera
+    expected = refiner()(found, frames[2].left, frames[2].right, frames[2].geometry).detections.center_in_camera
     np.testing.assert_array_equal(centers[True][2], expected)
     assert not np.array_equal(centers[True][2], centers[False][2])
 

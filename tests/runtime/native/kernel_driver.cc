@@ -137,6 +137,9 @@ int CheckRefine(std::mt19937& random) {
                                    2.0,
                                    2.0,
                                    1e3,
+                                   1.5,
+                                   0.3,
+                                   6.0,
                                    28,
                                    24,
                                    4,
@@ -164,14 +167,16 @@ int CheckRefine(std::mt19937& random) {
     centers.insert(centers.end(), {4.0 * uniform(random) - 2.0, 0.0, 60.0 * uniform(random)});
   }
   const std::vector<double> before = centers;
+  std::vector<double> evidence(6 * boxes);
   const edge::RefineFrame frame = {
-      left.data(),  right.data(),   height,      width,      first_row,    height + first_row,
-      boxes,        corners.data(), size.data(), yaw.data(), score.data(), solid.data(),
-      order.data(), centers.data(), 100.0,       60.0,       50.0,         0.5,
-      {0.05, 0.0}};
+      left.data(),  right.data(),   height,          width,      first_row,    height + first_row,
+      boxes,        corners.data(), size.data(),     yaw.data(), score.data(), solid.data(),
+      order.data(), centers.data(), evidence.data(), 100.0,      60.0,         50.0,
+      0.5,          {0.05, 0.0}};
   edge::RefineDepths(frame, rules);
   int wrong = centers == before;  // some must have moved
   for (const double value : centers) wrong += !std::isfinite(value);
+  for (const double value : evidence) wrong += !std::isfinite(value);
   return wrong;
 }
 

@@ -1,0 +1,77 @@
+"""``edge confidence``: learns how far a model's boxes can be believed, from labelled frames."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def confidence_command(
+    model: Annotated[Path, typer.Argument(help="Model directory that refines depths (preset compact).")],
+    source: Annotated[
+        list[str], typer.Option(help="Labelled frames that the weights have not seen; give it again for more.")
+    ],
+    out: Annotated[Path, typer.Option(help="File to write, .json, for `edge export --confidence`.")],
+    classes: Annotated[
+        str, typer.Option(help="Names, comma-separated; people were measured to gain nothing by it.")
+    ] = "Car",
+    allow_other_rig: Annotated[
+        bool, typer.Option("--allow-other-rig", help="Accept a camera far from those of the training data.")
+    ] = False,
+    overwrite: Annotated[bool, typer.Option(help="Replace the file if it is there.")] = False,
+) -> None:
+    """Learn scores that tell how probable it is that a box is right in 3D."""
+    from edge.cli.source_names import public_name
+    from edge.cli.stages import warn
+    from edge.evaluation.confidence_fit import fit_confidence
+    from edge.report.terminal import progress_bar, report_console
+    from runtime.contracts.confidence import ConfidenceRecord, write_confidence
+    from runtime.contracts.errors import EdgeError, OutputError, SourceError
+    from runtime.contracts.manifest import MODEL_FILE
+    from runtime.detector import open_detector
+    from runtime.sources.factory import open_sequence
+
+    if out.exists() and not overwrite:
+        raise OutputError(f"{out} is there already, expected a new file; choose another --out or add --overwrite")
+    found, labels, widths = [], [], []
+    with open_detector(model, allow_other_rig=allow_other_rig, warn=warn) as detector:
+        names = [name.strip() for name in classes.split(",")]
+        if not detector.manifest.depth_refinement or not set(names) <= set(detector.manifest.classes):
+            raise EdgeError(
+                f"{model} refines no depths or does not know {classes}, expected a model that does; "
+                "export one of preset compact"
+            )
+        for uri in source:
+            with open_sequence(uri) as frames, progress_bar(f"looking at {public_name(uri)}", len(frames)) as step:
+                for index in range(len(frames)):
+                    truth = frames.labels(index)
+                    if truth is not None:
+                        frame = frames[index]
+                        found.append(detector.look(frame))
+                        labels.append(truth)
+                        widths.append(frame.left.shape[1])
+                    step()
+        if not labels:
+            raise SourceError(f"{', '.join(source)}: no frame has labels, expected some; give a labelled source")
+        sha256 = detector.manifest.sha256[MODEL_FILE]
+    fits = [fit_confidence(found, labels, widths, name) for name in names]
+    record = ConfidenceRecord(
+        weights={fit.name: fit.weights for fit in fits},
+        facts={
+            "model_sha256": sha256,
+            "frames": str(len(labels)),
+            "sources": " ".join(public_name(uri) for uri in source),
+            **{f"{fit.name}_boxes": f"{fit.boxes}, {fit.right} of them right" for fit in fits},
+        },
+    )
+    write_confidence(out, record)
+    console = report_console()
+    for fit in fits:
+        console.print(
+            f"{fit.name}: {fit.boxes} boxes, {fit.right} right; surprise (mean -log of what was said) "
+            f"{fit.loss_before:.3f} by the network's scores, {fit.loss_after:.3f} with what refinement learned",
+            soft_wrap=True,
+        )
+    console.print(f"wrote {out}; hand it to edge export --confidence", soft_wrap=True)
