@@ -9,6 +9,7 @@ import numpy as np
 
 from edge.samples import measuring_source
 from runtime.detector import Detector, open_detector
+from runtime.refinement import FEATURES
 from runtime.sources.base import as_sequence
 from runtime.sources.factory import open_source
 
@@ -25,6 +26,26 @@ def test_a_higher_score_leaves_boxes_out_and_moves_none() -> None:
             kept = most.select(most.score > 0.8)
             assert 0 < len(kept) < len(most)
             np.testing.assert_array_equal(few.center_in_camera, kept.center_in_camera)
+
+
+def test_scores_of_confidence_are_what_is_asked_for() -> None:
+    model = str(files("edge.zoo") / "compact-int8")
+    with as_sequence(open_source(measuring_source())) as source, open_detector(model, threads=1) as detector:
+        frame = source[FRAMES_WITH_HIDERS[0]]
+        plain = Detector(
+            replace(detector.directory, manifest=replace(detector.manifest, confidence={})), detector.session
+        )
+        weights = dict.fromkeys(FEATURES, 0.0) | {"logit": 1.0}
+        manifest = replace(detector.manifest, confidence={"Car": (*weights.values(), -2.0)})
+        told = Detector(replace(detector.directory, manifest=manifest), detector.session)
+        raw, all_of_them = plain.look(frame).detections, told(frame, score=0.05)[0]
+        shown = told(frame, score=0.5)[0]
+    cars = raw.select(raw.class_id == raw.class_names.index("Car"))
+    expected = 1 / (1 + np.exp(2.0) * (1 - cars.score) / cars.score)
+    found = all_of_them.select(all_of_them.class_id == raw.class_names.index("Car"))
+    np.testing.assert_allclose(np.sort(found.score), np.sort(expected[expected > 0.05]), rtol=1e-6)
+    assert 0 < len(shown) < np.count_nonzero(raw.score > 0.5)
+    np.testing.assert_allclose(shown.score, all_of_them.score[all_of_them.score > 0.5])
 
 
 def test_without_refinement_boxes_stay_as_they_were_decoded() -> None:

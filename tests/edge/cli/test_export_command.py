@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 import typer
 
+from runtime.contracts.confidence import ConfidenceRecord, write_confidence
 from runtime.contracts.manifest import AnchorPriors, open_model_directory, write_priors
+from runtime.refinement import FEATURES
 from runtime.session import open_session
 
 torch = pytest.importorskip("torch")
@@ -109,6 +112,29 @@ def test_writes_a_model_that_runs(exported: Path, run_folder: Path) -> None:
         anchors = 4 * 12 * directory.manifest.anchors.per_cell
         assert [item.shape for item in session.outputs] == [(1, anchors, 4), (1, anchors, 12)]
     assert str(run_folder).encode() not in directory.model_path.read_bytes()
+
+
+def test_confidence_beside_the_weights_or_given(
+    exported: Path,
+    run_folder: Path,
+    source: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(export.to_onnx, "to_onnx", lambda *_, **__: onnx.load(exported / "model.onnx"))
+    folder = Path(shutil.copytree(run_folder, tmp_path / "run"))
+    weights = {"Car": tuple(0.1 * number for number in range(len(FEATURES) + 1))}
+    write_confidence(folder / "weights-confidence.json", ConfidenceRecord(weights, {"frames": "9"}))
+    assert open_model_directory(exported).manifest.confidence == {}
+    assert export_small(folder, tmp_path / "beside", source) == 0
+    assert "confidence: " in capsys.readouterr().err
+    manifest = open_model_directory(tmp_path / "beside").manifest
+    assert manifest.confidence == weights and manifest.provenance["confidence_frames"] == "9"
+    write_confidence(tmp_path / "given.json", ConfidenceRecord({"Car": (0.0,) * 3}))
+    assert export_small(folder, tmp_path / "given", source, "--confidence", tmp_path / "given.json") == 2
+    assert "has 3 numbers for Car" in capsys.readouterr().err
+    assert not (tmp_path / "given").exists()
 
 
 @pytest.mark.slow
