@@ -11,7 +11,11 @@ EDGE_EXPORT const char* EdgeStereoInstructionSet() {
   return kernels != nullptr ? kernels->name : nullptr;
 }
 
-// Refines the depths of a frame's boxes in place, see refine.h.
-EDGE_EXPORT void EdgeRefineDepths(const edge::RefineFrame* frame, const edge::RefineRules* rules) {
+// Refines the depths of a frame's boxes in place, see refine.h. False, and nothing done, where the
+// caller's records are not as long as these: it was made for another build.
+EDGE_EXPORT bool EdgeRefineDepths(const edge::RefineFrame* frame, int64_t frame_bytes,
+                                  const edge::RefineRules* rules, int64_t rules_bytes) {
+  if (frame_bytes != sizeof(*frame) || rules_bytes != sizeof(*rules)) return false;
   edge::RefineDepths(*frame, *rules);
+  return true;
 }

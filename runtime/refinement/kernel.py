@@ -106,6 +106,8 @@ def refiner(*, use_native: bool = True) -> RefineDepths:
         if len(found) == 0:
             return Refined(found, evidence)
         centers = _refined_centers(kernel, found, left, right, geometry, evidence=evidence)
+        if centers is None:
+            return refine_depths(found, left, right, geometry)
         return Refined(dataclasses.replace(found, center_in_camera=centers), evidence)
 
     return refine
@@ -117,8 +119,8 @@ def _kernel(path: Path) -> Any:
         kernel = getattr(ctypes.CDLL(str(path)), _SYMBOL)
     except (OSError, AttributeError):  # an older build lacks it
         return None
-    kernel.restype = None
-    kernel.argtypes = (ctypes.POINTER(_Frame), ctypes.POINTER(_Rules))
+    kernel.restype = ctypes.c_bool
+    kernel.argtypes = (ctypes.POINTER(_Frame), _INT, ctypes.POINTER(_Rules), _INT)
     return kernel
 
 
@@ -130,8 +132,8 @@ def _refined_centers(
     geometry: StereoGeometry,
     *,
     evidence: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """(N, 3) metres; ``evidence`` is filled in."""
+) -> NDArray[np.float64] | None:
+    """(N, 3) metres, and ``evidence`` is filled in; None where the library is of another build than this file."""
     first, last = image_rows(found, left.shape[0])
     views = [np.ascontiguousarray(normalised(image[first:last])) for image in (left, right)]
     centers = np.array(found.center_in_camera, np.float64)
@@ -157,8 +159,9 @@ def _refined_centers(
         P2[0, 2] - P3[0, 2],
         (_DOUBLE * 2)(P2[0, 3] / P2[0, 0], P2[1, 3] / P2[1, 1]),
     )
-    kernel(ctypes.byref(frame), ctypes.byref(_rules()))
-    return centers
+    rules = _rules()
+    ran = kernel(ctypes.byref(frame), ctypes.sizeof(frame), ctypes.byref(rules), ctypes.sizeof(rules))
+    return centers if ran else None
 
 
 def _rules() -> _Rules:

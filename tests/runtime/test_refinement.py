@@ -217,6 +217,16 @@ def test_the_library_is_left_out_where_it_is_not_wanted(monkeypatch: pytest.Monk
     assert refiner() is refine_depths
 
 
+def test_a_library_of_another_build_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:
+    left, right = pair(wall(15.0))
+    found = one("Pedestrian", 14.0)
+    expected = refine_depths(found, left, right, rig())
+    monkeypatch.setattr("runtime.refinement.kernel._kernel", lambda path: lambda *records: False)
+    refined = refiner()(found, left, right, rig())
+    np.testing.assert_array_equal(refined.detections.center_in_camera, expected.detections.center_in_camera)
+    np.testing.assert_array_equal(refined.evidence, expected.evidence)
+
+
 def test_the_library_equals_numpy_on_drawn_boxes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Boxes of all kinds over each other, some outside the image, behind the camera's reach, or of no size."""
     native = refiner()
