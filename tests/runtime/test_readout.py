@@ -32,13 +32,10 @@ def test_scores_of_confidence_are_what_is_asked_for() -> None:
     model = str(files("edge.zoo") / "compact-int8")
     with as_sequence(open_source(measuring_source())) as source, open_detector(model, threads=1) as detector:
         frame = source[FRAMES_WITH_HIDERS[0]]
-        plain = Detector(
-            replace(detector.directory, manifest=replace(detector.manifest, confidence={})), detector.session
-        )
         weights = dict.fromkeys(FEATURES, 0.0) | {"logit": 1.0}
         manifest = replace(detector.manifest, confidence={"Car": (*weights.values(), -2.0)})
         told = Detector(replace(detector.directory, manifest=manifest), detector.session)
-        raw, all_of_them = plain.look(frame).detections, told(frame, score=0.05)[0]
+        raw, all_of_them = detector.look(frame).detections, told(frame, score=0.05)[0]
         shown = told(frame, score=0.5)[0]
     cars = raw.select(raw.class_id == raw.class_names.index("Car"))
     expected = 1 / (1 + np.exp(2.0) * (1 - cars.score) / cars.score)
@@ -52,7 +49,7 @@ def test_without_refinement_boxes_stay_as_they_were_decoded() -> None:
     model = str(files("edge.zoo") / "compact-int8")
     with as_sequence(open_source(measuring_source())) as source, open_detector(model, threads=1) as detector:
         frame = source[FRAMES_WITH_HIDERS[0]]
-        moved, _ = detector(frame)
+        moved = detector.look(frame).detections
         manifest = replace(detector.manifest, depth_refinement=False)
         plain, _ = Detector(replace(detector.directory, manifest=manifest), detector.session)(frame)
     np.testing.assert_array_equal(plain.box_in_left_image, moved.box_in_left_image)
