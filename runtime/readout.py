@@ -56,10 +56,12 @@ class Readout:
 
     def refine(self, decoded: Detections3D, frame: StereoFrame, *, score: float | None = None) -> Detections3D:
         """What `decode` gave for the same score, with its final depths and scores, without what has a lower one."""
-        if self._manifest.depth_refinement and frame.right is not None:
+        if not self._manifest.depth_refinement:
+            return decoded
+        if frame.right is not None:
             refined = self.look(decoded, frame)
             decoded = with_confidence(refined, self._manifest.confidence, frame.left.shape[1])
-        return decoded.select(decoded.score > self._least(score)) if self._manifest.depth_refinement else decoded
+        return decoded.select(decoded.score > self._least(score))
 
     def _least(self, score: float | None) -> float:
         return self._manifest.thresholds.evaluate if score is None else score

@@ -57,12 +57,14 @@ def check_validation(uri: str, classes: Sequence[str], *, labelled: bool) -> Non
         SourceError: they are not there, or the source is live.
         QuantizeError: ``labelled``, and no object of moderate difficulty of the model's classes is among them.
     """
-    from edge.evaluation.kitti_ap import evaluate
+    from edge.evaluation.kitti_ap import count_objects
+    from edge.evaluation.rules import CLASS_RULES
+    from edge.evaluation.tables import label_table
     from quantize.budget import LEVEL_MODERATE
     from quantize.errors import QuantizeError
-    from runtime.contracts.objects import Detections3D
     from runtime.sources.factory import open_sequence
 
+    rules = [rule for rule in CLASS_RULES if rule.name in classes]
     with open_sequence(uri) as source:
         if not labelled:
             return
@@ -70,8 +72,8 @@ def check_validation(uri: str, classes: Sequence[str], *, labelled: bool) -> Non
             labels = source.labels(index)
             if labels is None:
                 continue
-            counts = evaluate([labels], [Detections3D.empty(labels.class_names)], classes).objects
-            if any(levels[LEVEL_MODERATE] for levels in counts.values()):
+            table = label_table([labels])
+            if any(count_objects(table, rule)[LEVEL_MODERATE] for rule in rules):
                 return
     raise QuantizeError(
         f"--validation: found no labelled objects of the model's classes and moderate difficulty in {uri}; expected "

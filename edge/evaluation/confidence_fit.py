@@ -14,7 +14,7 @@ from runtime.contracts.errors import EdgeError
 from runtime.contracts.geometry import FloatArray
 from runtime.contracts.kitti import KITTI_CLASSES
 from runtime.contracts.objects import Detections3D, Objects3D
-from runtime.refinement import Refined, confidence_features
+from runtime.refinement import Refined, confidence_features, probability
 
 FEWEST_RIGHT = 50
 """Boxes of a class that must be right, and as many wrong: fewer say little of ten weights."""
@@ -80,7 +80,7 @@ def fit_confidence(
     told = np.zeros(len(target))
     for part in (0, 1):
         others, own = frame % 2 != part, frame % 2 == part
-        told[own] = _probability(table[own], _learn(table[others], target[others], importance[others]))
+        told[own] = probability(table[own], _learn(table[others], target[others], importance[others]))
     return ConfidenceFit(
         name=name,
         weights=tuple(float(value) for value in _learn(table, target, importance)),
@@ -118,11 +118,6 @@ def _learn(features: FloatArray, right: NDArray[np.bool_], importance: FloatArra
         weights -= np.linalg.solve(curvature, slope)
     factors = weights[:-1] / spread
     return np.append(factors, weights[-1] - factors @ center)
-
-
-def _probability(features: FloatArray, weights: FloatArray) -> FloatArray:
-    told: FloatArray = 1.0 / (1.0 + np.exp(-(features @ weights[:-1] + weights[-1])))
-    return told
 
 
 def _loss(told: FloatArray, right: NDArray[np.bool_], importance: FloatArray) -> float:

@@ -98,7 +98,7 @@ class Refiner {
     if (!(center[2] > 0.0) || !Sample(box)) return;
     Hide(box);
     double* evidence = frame_.evidence + kEvidence * box;
-    evidence[kEvidence - 1] = HiddenShare();
+    evidence[kEvidence - 1] = 1.0 - SeenShare();
     if (!Look(box)) return;
     const double move = BestMove();
     const double depth_m = frame_.focal_baseline / (start_px_ + move);
@@ -203,17 +203,13 @@ class Refiner {
         }
       }
     }
-    double sum = 0.0;
-    for (const float value : seen_) sum += value;
-    if (sum < rules_.least_seen_share * static_cast<double>(seen_.size())) {
-      std::fill(seen_.begin(), seen_.end(), 1.0f);
-    }
+    if (SeenShare() < rules_.least_seen_share) std::fill(seen_.begin(), seen_.end(), 1.0f);
   }
 
-  double HiddenShare() const {
+  double SeenShare() const {
     double sum = 0.0;
     for (const float value : seen_) sum += value;
-    return 1.0 - sum / static_cast<double>(seen_.size());
+    return sum / static_cast<double>(seen_.size());
   }
 
   static double Overlap(const double* one, const double* other) {

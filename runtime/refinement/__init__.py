@@ -4,6 +4,7 @@ from runtime.refinement.confidence import (
     FEATURES,
     check_confidence,
     confidence_features,
+    probability,
     with_confidence,
 )
 from runtime.refinement.depth import refine_depths
@@ -18,6 +19,7 @@ __all__ = [
     "Refined",
     "check_confidence",
     "confidence_features",
+    "probability",
     "refine_depths",
     "refiner",
     "with_confidence",

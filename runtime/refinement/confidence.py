@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.contracts.errors import ManifestError
+from runtime.contracts.geometry import FloatArray
 from runtime.contracts.objects import Detections3D
 from runtime.refinement.evidence import EVIDENCE, Refined
 
@@ -62,6 +63,12 @@ def confidence_features(refined: Refined, image_width: int) -> NDArray[np.float6
     return np.stack(columns, axis=1)
 
 
+def probability(features: FloatArray, weights: FloatArray) -> FloatArray:
+    """(N,) what weights, the constant last, make of (N, F) features."""
+    told: FloatArray = 1.0 / (1.0 + np.exp(-(features @ weights[:-1] + weights[-1])))
+    return told
+
+
 def with_confidence(refined: Refined, weights: Mapping[str, Sequence[float]], image_width: int) -> Detections3D:
     """The boxes with the probabilities as scores, sorted by them.
 
@@ -78,6 +85,5 @@ def with_confidence(refined: Refined, weights: Mapping[str, Sequence[float]], im
     for index, name in enumerate(found.class_names):
         rows = found.class_id == index
         if name in weights and rows.any():
-            *factors, constant = weights[name]
-            score[rows] = 1.0 / (1.0 + np.exp(-(features[rows] @ np.array(factors) + constant)))
+            score[rows] = probability(features[rows], np.array(weights[name]))
     return dataclasses.replace(found, score=score)

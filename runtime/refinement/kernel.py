@@ -100,12 +100,13 @@ def refiner(*, use_native: bool = True) -> RefineDepths:
     kernel = None if path is None else _kernel(path)
     if kernel is None:
         return refine_depths
+    rules = _rules()
 
     def refine(found: Detections3D, left: Pixels, right: Pixels, geometry: StereoGeometry) -> Refined:
         evidence = np.tile(UNSEARCHED, (len(found), 1))
         if len(found) == 0:
             return Refined(found, evidence)
-        centers = _refined_centers(kernel, found, left, right, geometry, evidence=evidence)
+        centers = _refined_centers(kernel, rules, found, left, right, geometry, evidence=evidence)
         if centers is None:
             return refine_depths(found, left, right, geometry)
         return Refined(dataclasses.replace(found, center_in_camera=centers), evidence)
@@ -126,6 +127,7 @@ def _kernel(path: Path) -> Any:
 
 def _refined_centers(
     kernel: Any,
+    rules: _Rules,
     found: Detections3D,
     left: Pixels,
     right: Pixels,
@@ -159,7 +161,6 @@ def _refined_centers(
         P2[0, 2] - P3[0, 2],
         (_DOUBLE * 2)(P2[0, 3] / P2[0, 0], P2[1, 3] / P2[1, 1]),
     )
-    rules = _rules()
     ran = kernel(ctypes.byref(frame), ctypes.sizeof(frame), ctypes.byref(rules), ctypes.sizeof(rules))
     return centers if ran else None
 
