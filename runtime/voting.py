@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.boxcode import ALPHA, X1, Y2, FloatArray32, Z
+from runtime.contracts.geometry import FloatArray
 from runtime.nms import iou_one_to_many
 
 LEAST_SCORE_SHARE: Final = 0.5
@@ -39,19 +40,27 @@ def voted_boxes(
         (M, 11) float32. A box that nothing else agrees with is as it was.
     """
     result = boxes[keep].copy()
-    for row, index in enumerate(keep):
-        voters = np.flatnonzero((class_id == class_id[index]) & (score >= LEAST_SCORE_SHARE * score[index]))
-        wide = boxes[voters].astype(np.float64)
-        kept = boxes[index].astype(np.float64)
-        agree = iou_one_to_many(kept[X1 : Y2 + 1], wide[:, X1 : Y2 + 1]) > iou
-        with np.errstate(divide="ignore", invalid="ignore"):
-            agree &= np.abs(wide[:, Z] / kept[Z] - 1.0) < NEAR_DEPTH_SHARE
-        if np.count_nonzero(agree) < 2:
-            continue
-        wide, weight = wide[agree], score[voters[agree]].astype(np.float64) ** 2
-        mean = weight @ wide / weight.sum()
-        turn_rad = np.angle(np.exp(1j * (wide[:, ALPHA] - kept[ALPHA])))
-        facing = np.abs(turn_rad) < NEAR_ANGLE_RAD
-        mean[ALPHA] = kept[ALPHA] + weight[facing] @ turn_rad[facing] / weight[facing].sum()
-        result[row] = mean.astype(np.float32)
+    for kind in np.unique(class_id[keep]):
+        members = np.flatnonzero(class_id == kind)
+        members = members[np.argsort(-score[members], kind="stable")]
+        falling = score[members]
+        ranked = np.asfortranarray(boxes[members], np.float64)  # voters are its first rows, each column in one piece
+        for row in np.flatnonzero(class_id[keep] == kind):
+            kept = boxes[keep[row]].astype(np.float64)
+            count = int(np.searchsorted(-falling, -LEAST_SCORE_SHARE * score[keep[row]], side="right"))
+            voters = ranked[:count]
+            agree = iou_one_to_many(kept[X1 : Y2 + 1], voters[:, X1 : Y2 + 1]) > iou
+            with np.errstate(divide="ignore", invalid="ignore"):
+                agree &= np.abs(voters[:, Z] / kept[Z] - 1.0) < NEAR_DEPTH_SHARE
+            if np.count_nonzero(agree) >= 2:
+                result[row] = _mean_box(kept, voters[agree], falling[:count][agree].astype(np.float64) ** 2)
     return result
+
+
+def _mean_box(kept: FloatArray, voters: FloatArray, weight: FloatArray) -> FloatArray32:
+    """(11,) the weighted mean of (V, 11) voters; of the angle, only of those that face as the kept box does."""
+    mean = weight @ voters / weight.sum()
+    turn_rad = np.angle(np.exp(1j * (voters[:, ALPHA] - kept[ALPHA])))
+    facing = np.abs(turn_rad) < NEAR_ANGLE_RAD
+    mean[ALPHA] = kept[ALPHA] + weight[facing] @ turn_rad[facing] / weight[facing].sum()
+    return mean.astype(np.float32)

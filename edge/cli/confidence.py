@@ -15,8 +15,8 @@ def confidence_command(
     ],
     out: Annotated[Path, typer.Option(help="File to write, .json, for `edge export --confidence`.")],
     classes: Annotated[
-        str, typer.Option(help="Names, comma-separated; people were measured to gain nothing by it.")
-    ] = "Car",
+        str | None, typer.Option(help="Names, comma-separated; default: those that the frames hold enough of.")
+    ] = None,
     allow_other_rig: Annotated[
         bool, typer.Option("--allow-other-rig", help="Accept a camera far from those of the training data.")
     ] = False,
@@ -37,10 +37,12 @@ def confidence_command(
         raise OutputError(f"{out} is there already, expected a new file; choose another --out or add --overwrite")
     found, labels, widths = [], [], []
     with open_detector(model, allow_other_rig=allow_other_rig, warn=warn) as detector:
-        names = [name.strip() for name in classes.split(",")]
+        names = list(detector.manifest.classes)
+        if classes is not None:
+            names = [name.strip() for name in classes.split(",")]
         if not detector.manifest.depth_refinement or not set(names) <= set(detector.manifest.classes):
             raise EdgeError(
-                f"{model} refines no depths or does not know {classes}, expected a model that does; "
+                f"{model} refines no depths or does not know {', '.join(names)}, expected a model that does; "
                 "export one of preset compact"
             )
         for uri in source:
@@ -56,7 +58,14 @@ def confidence_command(
         if not labels:
             raise SourceError(f"{', '.join(source)}: no frame has labels, expected some; give a labelled source")
         sha256 = detector.manifest.sha256[MODEL_FILE]
-    fits = [fit_confidence(found, labels, widths, name) for name in names]
+    fits = []
+    for name in names:
+        try:
+            fits.append(fit_confidence(found, labels, widths, name))
+        except EdgeError as error:
+            if classes is not None or (name == names[-1] and not fits):
+                raise
+            warn(f"{error}, or {name} keeps the network's score")
     record = ConfidenceRecord(
         weights={fit.name: fit.weights for fit in fits},
         facts={

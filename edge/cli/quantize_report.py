@@ -104,12 +104,14 @@ def report(
             paths = [prepared.source.path, written.path]
             runs, measurements = _measure(paths, source, allow_other_rig=allow_other_rig)
             plots = _range_plots(prepared, found, ranges, layers)
-            evidence = collect_evidence(written.path, source, runs, plots)
             timed = bench_models(paths, pairs, repeat=TIMED_REPEAT, allow_other_rig=allow_other_rig)
             latency = tuple({**asdict(item), "path": Path(item.path).name} for item in timed)
-            with ThreadPoolExecutor() as processes:  # each measures in a process of its own
-                memory = tuple(processes.map(lambda path: peak_memory(path, pairs[0]), paths))
-            share_run = share_of_run(profile_directory(written.path, pairs[:1]))
+            with ThreadPoolExecutor() as beside:  # nothing here depends on how fast it goes
+                peaks = [beside.submit(peak_memory, path, pairs[0]) for path in paths]
+                profile = beside.submit(profile_directory, written.path, pairs[:1])
+                evidence = collect_evidence(written.path, source, runs, plots)
+                memory = tuple(peak.result() for peak in peaks)
+                share_run = share_of_run(profile.result())
     except EdgeError as error:
         if validation is not None:
             raise

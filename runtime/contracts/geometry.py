@@ -56,6 +56,11 @@ class StereoGeometry:
         """Distance of the two camera centres along x in metres; positive when the right camera is right of the left."""
         return float(self.P2[0, 3] / self.P2[0, 0] - self.P3[0, 3] / self.P3[0, 0])
 
+    @property
+    def to_left_camera_m(self) -> FloatArray:
+        """(3,) metres: what brings a point of the reference camera's frame into the left camera's."""
+        return np.array([self.P2[0, 3] / self.P2[0, 0], self.P2[1, 3] / self.P2[1, 1], 0.0])
+
     def crop(self, *, left: float, top: float, size_wh: tuple[int, int]) -> StereoGeometry:
         """The geometry after cutting ``left`` columns and ``top`` rows (negative: padding)."""
         shift = np.array([[1.0, 0.0, -left], [0.0, 1.0, -top], [0.0, 0.0, 1.0]])

@@ -46,7 +46,7 @@ def refine_depths(found: Detections3D, left: Pixels, right: Pixels, geometry: St
     views = (normalised(left[first:last]), normalised(right[first:last]))
     P2, P3 = geometry.P2, geometry.P3
     focal_baseline, offset_px = float(P2[0, 3] - P3[0, 3]), float(P2[0, 2] - P3[0, 2])
-    shift = np.array([P2[0, 3] / P2[0, 0], P2[1, 3] / P2[1, 1], 0.0])
+    shift = geometry.to_left_camera_m
     centers = found.center_in_camera.copy()
     for row in np.argsort(centers[:, 2], kind="stable"):
         kind = found.class_names[int(found.class_id[row])]

@@ -159,7 +159,7 @@ def _refined_centers(
         P2[0, 2],
         P2[0, 3] - P3[0, 3],
         P2[0, 2] - P3[0, 2],
-        (_DOUBLE * 2)(P2[0, 3] / P2[0, 0], P2[1, 3] / P2[1, 1]),
+        (_DOUBLE * 2)(*geometry.to_left_camera_m[:2]),
     )
     ran = kernel(ctypes.byref(frame), ctypes.sizeof(frame), ctypes.byref(rules), ctypes.sizeof(rules))
     return centers if ran else None

@@ -26,9 +26,10 @@ def test_weights_of_the_bundled_drive(tmp_path: Path) -> None:
     code, told = confidence(MODEL, "--source", measuring_source(), "--out", out)
     assert code == 0, told
     record = read_confidence(out)
-    assert set(record.weights) == {"Car"} and len(record.weights["Car"]) == len(FEATURES) + 1
+    assert set(record.weights) == {"Car", "Pedestrian"} and len(record.weights["Car"]) == len(FEATURES) + 1
     assert record.weights["Car"][FEATURES.index("logit")] > 0 > record.weights["Car"][FEATURES.index("log depth")]
     assert record.facts["frames"] == "48"
+    assert "Cyclist keeps the network's score" in told  # too few of them in it
     code, told = confidence(MODEL, "--source", measuring_source(), "--out", out)
     assert code == 2 and "--overwrite" in told
 
