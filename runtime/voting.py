@@ -63,4 +63,5 @@ def _mean_box(kept: FloatArray, voters: FloatArray, weight: FloatArray) -> Float
     turn_rad = np.angle(np.exp(1j * (voters[:, ALPHA] - kept[ALPHA])))
     facing = np.abs(turn_rad) < NEAR_ANGLE_RAD
     mean[ALPHA] = kept[ALPHA] + weight[facing] @ turn_rad[facing] / weight[facing].sum()
-    return mean.astype(np.float32)
+    result: FloatArray32 = mean.astype(np.float32)
+    return result
