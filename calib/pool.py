@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 
@@ -85,7 +84,8 @@ def look_at(
         found = None
         if finder is not None:
             found = stack.enter_context(FeatureCache(f"{scene_features.METHOD} {finder.identity}", enabled=use_cache))
-        for done, (index, frame) in enumerate(zip(indices, _read_ahead(source, indices), strict=True)):
+        for done, index in enumerate(indices):
+            frame = source[index]
             check(frame)
             chosen = ChosenFrame(frame.frame_id, index, pixel_hash(frame), geometry_hash(frame))
             frames.append(chosen)
@@ -111,18 +111,6 @@ def look_at(
         origin = LABELS if labels is not None else FOUND
         looked_at += tuple(f"{group.name} ({origin})" for group in object_features.GROUPS)
     return Pool(tuple(frames), distances(comparable(table, groups)), looked_at)
-
-
-def _read_ahead(source: Sequence[StereoFrame], indices: Sequence[int]) -> Iterator[StereoFrame]:
-    """The frames in order, each read by a thread while the one before is looked at."""
-    with ThreadPoolExecutor(1) as reader:
-        coming: Future[StereoFrame] | None = None
-        for index in indices:
-            ready, coming = coming, reader.submit(source.__getitem__, index)
-            if ready is not None:
-                yield ready.result()
-        if coming is not None:
-            yield coming.result()
 
 
 def _remembered(cache: FeatureCache, key: str, groups: Sequence[FeatureGroup], compute: Callable[[], Row]) -> Row:
