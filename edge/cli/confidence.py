@@ -25,7 +25,7 @@ def confidence_command(
     """Learn scores that tell how probable it is that a box is right in 3D."""
     from edge.cli.source_names import public_name
     from edge.cli.stages import warn
-    from edge.evaluation.confidence_fit import fit_confidence
+    from edge.evaluation.confidence_fit import TooFewBoxesError, fit_confidence
     from edge.report.terminal import progress_bar, report_console
     from runtime.contracts.confidence import ConfidenceRecord, write_confidence
     from runtime.contracts.errors import EdgeError, OutputError, SourceError
@@ -62,7 +62,7 @@ def confidence_command(
     for name in names:
         try:
             fits.append(fit_confidence(found, labels, widths, name))
-        except EdgeError as error:
+        except TooFewBoxesError as error:
             if classes is not None or (name == names[-1] and not fits):
                 raise
             warn(f"{error}, or {name} keeps the network's score")

@@ -106,7 +106,7 @@ def report(
             plots = _range_plots(prepared, found, ranges, layers)
             timed = bench_models(paths, pairs, repeat=TIMED_REPEAT, allow_other_rig=allow_other_rig)
             latency = tuple({**asdict(item), "path": Path(item.path).name} for item in timed)
-            with ThreadPoolExecutor() as beside:  # nothing here depends on how fast it goes
+            with ThreadPoolExecutor() as beside:  # none of these measures time
                 peaks = [beside.submit(peak_memory, path, pairs[0]) for path in paths]
                 profile = beside.submit(profile_directory, written.path, pairs[:1])
                 evidence = collect_evidence(written.path, source, runs, plots)

@@ -24,6 +24,10 @@ _RIDGE = 1e-3
 _STEPS = 50
 
 
+class TooFewBoxesError(EdgeError):
+    """Frames hold too few right or wrong boxes of a class to learn from."""
+
+
 @dataclass(frozen=True, slots=True)
 class ConfidenceFit:
     """One class.
@@ -59,7 +63,7 @@ def fit_confidence(
         name: of the class, one of KITTI's three.
 
     Raises:
-        EdgeError: too few boxes are right, or wrong.
+        TooFewBoxesError: too few boxes are right, or wrong.
     """
     right_rows = right_boxes(labels, [item.detections for item in found])
     features, right, scores, frames = [], [], [], []
@@ -72,7 +76,7 @@ def fit_confidence(
     table, target, score, frame = (np.concatenate(parts) for parts in (features, right, scores, frames))
     count = int(np.count_nonzero(target))
     if min(count, len(target) - count) < FEWEST_RIGHT:
-        raise EdgeError(
+        raise TooFewBoxesError(
             f"confidence: found {count} right and {len(target) - count} wrong boxes of {name}, expected at least "
             f"{FEWEST_RIGHT} of both; give more labelled frames"
         )

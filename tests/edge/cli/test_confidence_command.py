@@ -40,6 +40,9 @@ def test_what_cannot_be_learned(tiny_model: Path, tiny_drive: Path, tmp_path: Pa
     assert code == 2 and "refines no depths" in told
     code, told = confidence(MODEL, "--source", measuring_source(), "--out", out, "--classes", "Tram")
     assert code == 2 and "does not know Tram" in told
+    drive = f"{measuring_source()}?limit=4"
+    code, told = confidence(MODEL, "--source", drive, "--out", out, "--classes", "Cyclist")
+    assert code == 2 and "boxes of Cyclist, expected at least 50" in told
     code, told = confidence(MODEL, "--source", f"{measuring_source()}?limit=1", "--out", out)
     assert code == 2 and "expected at least 50" in told
     assert not out.exists()
