@@ -119,3 +119,39 @@ def test_cars_and_people_drop_each_other_only_where_depths_agree(manifest: Manif
         assert np.all(other[overlap])
         pairs += int(overlap.sum())
     assert pairs > 0
+
+
+def plain_votes(boxes: np.ndarray, score: np.ndarray, class_id: np.ndarray, keep: np.ndarray) -> np.ndarray:
+    """`voted_boxes` box by box, as its text says it."""
+    result = boxes[keep].astype(np.float64)
+    for row, index in enumerate(keep):
+        kept = boxes[index].astype(np.float64)
+        agree = (class_id == class_id[index]) & (score >= np.float32(0.5) * score[index])
+        agree &= iou_one_to_many(kept[X1 : Y2 + 1], boxes[:, X1 : Y2 + 1].astype(np.float64)) > IOU
+        agree &= np.abs(boxes[:, Z] / kept[Z] - 1.0) < 0.15
+        voters, weight = boxes[agree].astype(np.float64), score[agree].astype(np.float64) ** 2
+        turn_rad = np.angle(np.exp(1j * (voters[:, ALPHA] - kept[ALPHA])))
+        facing = np.abs(turn_rad) < 0.8
+        if len(voters) > 1:
+            result[row] = weight @ voters / weight.sum()
+            result[row, ALPHA] = kept[ALPHA] + weight[facing] @ turn_rad[facing] / weight[facing].sum()
+    return result
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_many_boxes_of_mixed_classes_kept_in_any_order(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    boxes = np.stack(
+        [
+            box(shift=shift, z=z, alpha=alpha)
+            for shift, z, alpha in zip(
+                rng.uniform(0, 60, 80), rng.uniform(15, 25, 80), rng.uniform(-3.1, 3.1, 80), strict=True
+            )
+        ]
+    )
+    score = rng.choice(np.array([0.1, 0.2, 0.25, 0.4, 0.5, 0.9], np.float32), 80)  # ties, and halves of one another
+    class_id = rng.integers(0, 3, 80)
+    keep = rng.permutation(80)[:20]
+    found = voted_boxes(boxes, score, class_id, keep, iou=IOU)
+    assert (found != boxes[keep]).any(axis=1).sum() > 5
+    np.testing.assert_allclose(found, plain_votes(boxes, score, class_id, keep), rtol=1e-5, atol=1e-5)

@@ -93,3 +93,14 @@ def test_images_of_another_shape(folder: Path) -> None:
     write(folder, "l/a.png", "r/a.png", size_wh=(64, 20))
     with as_sequence(open_source(uri(folder, "l", "r"))) as source, pytest.raises(FormatError, match="64x20"):
         source[0]
+
+
+@pytest.mark.parametrize(("broken", "told"), [(("r",), "r/a.png"), (("l",), "l/a.png"), (("l", "r"), "l/a.png")])
+def test_a_broken_view_is_named_though_both_are_read_at_once(folder: Path, broken: tuple[str, ...], told: str) -> None:
+    write(folder, "l/a.png", "r/a.png")
+    for side in broken:
+        path = folder / side / "a.png"
+        path.write_bytes(path.read_bytes()[:-20])
+    source = as_sequence(open_source(uri(folder, "l/*", "r/*")))
+    with source, pytest.raises(FrameError, match=f"{told} is broken"):
+        source[0]
