@@ -40,14 +40,16 @@ def voted_boxes(
         (M, 11) float32. A box that nothing else agrees with is as it was.
     """
     result = boxes[keep].copy()
-    for kind in np.unique(class_id[keep]):
+    kept_class = class_id[keep]
+    for kind in np.unique(kept_class):
         members = np.flatnonzero(class_id == kind)
         members = members[np.argsort(-score[members], kind="stable")]
         falling = score[members]
+        rising = -falling
         ranked = np.asfortranarray(boxes[members], np.float64)  # voters are its first rows, each column in one piece
-        for row in np.flatnonzero(class_id[keep] == kind):
+        for row in np.flatnonzero(kept_class == kind):
             kept = boxes[keep[row]].astype(np.float64)
-            count = int(np.searchsorted(-falling, -LEAST_SCORE_SHARE * score[keep[row]], side="right"))
+            count = int(np.searchsorted(rising, -LEAST_SCORE_SHARE * score[keep[row]], side="right"))
             voters = ranked[:count]
             agree = iou_one_to_many(kept[X1 : Y2 + 1], voters[:, X1 : Y2 + 1]) > iou
             with np.errstate(divide="ignore", invalid="ignore"):

@@ -37,10 +37,9 @@ def confidence_command(
         raise OutputError(f"{out} is there already, expected a new file; choose another --out or add --overwrite")
     found, labels, widths = [], [], []
     with open_detector(model, allow_other_rig=allow_other_rig, warn=warn) as detector:
-        names = list(detector.manifest.classes)
-        if classes is not None:
-            names = [name.strip() for name in classes.split(",")]
-        if not detector.manifest.depth_refinement or not set(names) <= set(detector.manifest.classes):
+        known = detector.manifest.classes
+        names = list(known) if classes is None else [name.strip() for name in classes.split(",")]
+        if not detector.manifest.depth_refinement or not set(names) <= set(known):
             raise EdgeError(
                 f"{model} refines no depths or does not know {', '.join(names)}, expected a model that does; "
                 "export one of preset compact"

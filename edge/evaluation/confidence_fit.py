@@ -116,7 +116,7 @@ def _learn(features: FloatArray, right: NDArray[np.bool_], importance: FloatArra
     weights = np.zeros(table.shape[1])
     share = importance / importance.sum()
     for _ in range(_STEPS):
-        told = 1.0 / (1.0 + np.exp(-(table @ weights)))
+        told = probability(table[:, :-1], weights)
         slope = table.T @ (share * (told - right)) + ridge @ weights
         curvature = (table * (share * told * (1.0 - told))[:, None]).T @ table + ridge
         weights -= np.linalg.solve(curvature, slope)
