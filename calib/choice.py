@@ -7,19 +7,19 @@ in time, whatever they show.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from calib.coverage import Coverage, Order, coverage_order, distances, farthest_order, gap, score
 from calib.finder import Finder
+from calib.frame_hashes import FrameHashes
 from calib.frames import (
     CalibrationSet,
-    ChosenFrame,
+    Check,
     Warn,
-    geometry_hash,
-    pixel_hash,
+    accept_any,
     say_nothing,
     spread_indices,
 )
@@ -56,7 +56,7 @@ def choose(
     *,
     name: str,
     method: str = DEFAULT_METHOD,
-    check: Callable[[StereoFrame], object] = lambda frame: None,
+    check: Check = accept_any,
     find: Finder | None = None,
     use_cache: bool = True,
     progress: Progress = no_progress,
@@ -69,7 +69,7 @@ def choose(
         wanted: How many frames; fewer where it has fewer.
         name: What the record calls the source.
         method: One of `METHODS`.
-        check: Called with each frame that is looked at; what it raises ends the choice.
+        check: Called with the camera of each frame that is looked at; what it raises ends the choice.
         find: Finds objects, for sources without labels; None to compare pixels alone.
         use_cache: Look for, and keep, features in the user's cache folder.
         progress: Told how far the looking is.
@@ -84,10 +84,11 @@ def choose(
     if method == "spread":
         taken = []
         indices = spread_indices(len(source), wanted)
-        for place in _time_order(indices):
-            frame = source[indices[place]]
-            check(frame)
-            taken.append(ChosenFrame(frame.frame_id, indices[place], pixel_hash(frame), geometry_hash(frame)))
+        with FrameHashes(source, enabled=use_cache) as hashes:
+            for place in _time_order(indices):
+                seen = hashes[indices[place]]
+                check(seen.geometry)
+                taken.append(seen.chosen)
         return Choice(CalibrationSet(name, tuple(taken), len(source), method), source)
     pool = look_at(source, wanted, check=check, find=find, use_cache=use_cache, progress=progress, warn=warn)
     return choose_from(pool, source, wanted, name=name, method=method)

@@ -6,14 +6,16 @@ import hashlib
 import zipfile
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.cache import cache_folder, write_arrays
-from calib.scene_features import Row
 
 _KEPT_ROWS = 8192
+
+Number = type[np.float32] | type[np.uint32]
 
 
 def feature_folder() -> Path:
@@ -27,18 +29,22 @@ class FeatureCache:
     An unreadable file counts as absent, and a folder that cannot be written is left alone.
     """
 
-    def __init__(self, method: str, *, enabled: bool = True, folder: Path | None = None) -> None:
+    def __init__(
+        self, method: str, *, enabled: bool = True, folder: Path | None = None, number: Number = np.float32
+    ) -> None:
         """Names the rows.
 
         Args:
             method: All that a row depends on beside the frame: the version of the features, the model.
             enabled: Whether to read and keep anything.
             folder: Where; None for the user's cache folder.
+            number: What rows are made of.
         """
         name = hashlib.sha256(method.encode()).hexdigest()[:32]
         self._path = (folder or feature_folder()) / f"{name}.npz"
         self._enabled = enabled
-        self._rows: dict[str, Row] = {}
+        self._number = number
+        self._rows: dict[str, NDArray[Any]] = {}
         self._new = False
 
     def __enter__(self) -> Self:
@@ -46,7 +52,7 @@ class FeatureCache:
         if self._enabled:
             try:
                 with self._path.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
-                    names, rows = archive["names"], archive["rows"].astype(np.float32)
+                    names, rows = archive["names"], archive["rows"].astype(self._number)
                     if rows.ndim == 2 and np.isfinite(rows).all():
                         self._rows = {str(name): row for name, row in zip(names, rows, strict=True)}
             except (OSError, KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile):
@@ -60,15 +66,15 @@ class FeatureCache:
         if not (self._enabled and self._new and error is None):
             return
         kept = list(self._rows.items())[-_KEPT_ROWS:]
-        rows = np.array([row for _, row in kept], np.float32)
+        rows = np.array([row for _, row in kept], self._number)
         write_arrays(self._path, {"names": np.array([name for name, _ in kept], np.str_), "rows": rows})
 
-    def get(self, key: str, *, size: int) -> Row | None:
+    def get(self, key: str, *, size: int) -> NDArray[Any] | None:
         """The row of a frame, or None where it is not known or has another size."""
         row = self._rows.get(key)
         return row if row is not None and len(row) == size else None
 
-    def put(self, key: str, row: Row) -> None:
+    def put(self, key: str, row: NDArray[Any]) -> None:
         """Remembers a row."""
         self._rows.pop(key, None)  # the newest last
         self._rows[key] = row

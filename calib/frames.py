@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from calib.coverage import Coverage
 from runtime.contracts.errors import SourceError
 from runtime.contracts.frame import StereoFrame
+from runtime.contracts.geometry import StereoGeometry
 from runtime.contracts.manifest import Manifest
 from runtime.preprocess import NetworkView, network_view, prepare
 from runtime.rig import check_rig
@@ -23,10 +24,16 @@ from runtime.rig import check_rig
 SHORT_HASH = 16
 
 Warn = Callable[[str], None]
+Check = Callable[[StereoGeometry], object]
+"""Raises where a camera does not fit."""
 
 
 def say_nothing(line: str) -> None:
     """Tells nobody."""
+
+
+def accept_any(geometry: StereoGeometry) -> None:
+    """Fits every camera."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,9 +109,8 @@ def pixel_hash(frame: StereoFrame) -> str:
     return digest.hexdigest()[:SHORT_HASH]
 
 
-def geometry_hash(frame: StereoFrame) -> str:
+def geometry_hash(geometry: StereoGeometry) -> str:
     """Start of the SHA-256 over P2, P3 and the image size, which decide what the network sees of the pixels."""
-    geometry = frame.geometry
     digest = hashlib.sha256(repr(geometry.image_size_wh).encode())
     for projection in (geometry.P2, geometry.P3):
         digest.update(projection.tobytes())
@@ -142,13 +148,13 @@ def frame_feeds(
     """
     view_of = rig_check(manifest, allow_other_rig=allow_other_rig, warn=warn)
     for frame in frames:
-        yield prepare(frame, view_of(frame), manifest)
+        yield prepare(frame, view_of(frame.geometry), manifest)
 
 
 def rig_check(
     manifest: Manifest, *, allow_other_rig: bool = False, warn: Warn = say_nothing
-) -> Callable[[StereoFrame], NetworkView]:
-    """A function that gives what the network sees of a frame, once the frame's camera has passed the check.
+) -> Callable[[StereoGeometry], NetworkView]:
+    """A function that gives what the network sees of a camera's frames, once that camera has passed the check.
 
     Args:
         manifest: Of the model.
@@ -156,13 +162,13 @@ def rig_check(
         warn: Told once where a camera differs somewhat.
 
     The function raises RigError where a camera is too far from those of the training data, FrameError where a
-    frame is too small.
+    frame of that camera is too small.
     """
     warned = False
 
-    def view_of(frame: StereoFrame) -> NetworkView:
+    def view_of(geometry: StereoGeometry) -> NetworkView:
         nonlocal warned
-        view = network_view(frame.geometry, manifest)
+        view = network_view(geometry, manifest)
         notice = check_rig(view.geometry, manifest.rig, stereo=manifest.views == 2, allow=allow_other_rig)
         if notice is not None and not warned:
             warned = True

@@ -12,7 +12,8 @@ from calib import object_features, scene_features
 from calib.coverage import Points, comparable, distances
 from calib.feature_cache import FeatureCache
 from calib.finder import Finder
-from calib.frames import ChosenFrame, Warn, geometry_hash, pixel_hash, say_nothing, spread_indices
+from calib.frame_hashes import FrameHashes, HashedFrame
+from calib.frames import Check, ChosenFrame, Warn, accept_any, say_nothing, spread_indices
 from calib.ranges import Progress, no_progress
 from calib.scene_features import FeatureGroup, Row
 from runtime.contracts.errors import FormatError
@@ -51,7 +52,7 @@ def look_at(
     source: Sequence[StereoFrame],
     wanted: int,
     *,
-    check: Callable[[StereoFrame], object] = lambda frame: None,
+    check: Check = accept_any,
     find: Finder | None = None,
     use_cache: bool = True,
     progress: Progress = no_progress,
@@ -64,7 +65,7 @@ def look_at(
     Args:
         source: Entered frames by index; ``labels(index)`` may give objects.
         wanted: How many frames will be chosen.
-        check: Called with each frame; what it raises ends the looking.
+        check: Called with the camera of each frame; what it raises ends the looking.
         find: The float model, where it may be run.
         use_cache: Look for, and keep, features in the user's cache folder.
         progress: Told after every frame.
@@ -78,28 +79,28 @@ def look_at(
     labels = _labels(source, indices, warn)
     finder = find if labels is None else None
     groups = scene_features.GROUPS
-    frames, rows, object_rows = [], [], []
+    frames: list[ChosenFrame] = []
+    rows, object_rows = [], []
     with ExitStack() as stack:
+        hashes = stack.enter_context(FrameHashes(source, enabled=use_cache))
         scenes = stack.enter_context(FeatureCache(scene_features.METHOD, enabled=use_cache))
         found = None
         if finder is not None:
             found = stack.enter_context(FeatureCache(f"{scene_features.METHOD} {finder.identity}", enabled=use_cache))
+
+        def objects_row(frame: StereoFrame) -> Row:
+            assert finder is not None
+            return object_features.object_row(finder(frame))
+
         for done, index in enumerate(indices):
-            frame = source[index]
-            check(frame)
-            chosen = ChosenFrame(frame.frame_id, index, pixel_hash(frame), geometry_hash(frame))
+            seen = hashes[index]
+            check(seen.geometry)
+            chosen = seen.chosen
             frames.append(chosen)
-            rows.append(_remembered(scenes, chosen.pixels, groups, lambda seen=frame: scene_features.scene_row(seen)))
-            if finder is not None and found is not None:
+            rows.append(_remembered(scenes, chosen.pixels, groups, seen, scene_features.scene_row))
+            if found is not None:
                 key = chosen.pixels + chosen.geometry
-                object_rows.append(
-                    _remembered(
-                        found,
-                        key,
-                        object_features.GROUPS,
-                        lambda seen=frame, by=finder: object_features.object_row(by(seen)),
-                    )
-                )
+                object_rows.append(_remembered(found, key, object_features.GROUPS, seen, objects_row))
             progress("looking at frames", done + 1, len(indices))
     if labels is not None:
         object_rows = [object_features.object_row(item) for item in labels]
@@ -113,10 +114,16 @@ def look_at(
     return Pool(tuple(frames), distances(comparable(table, groups)), looked_at)
 
 
-def _remembered(cache: FeatureCache, key: str, groups: Sequence[FeatureGroup], compute: Callable[[], Row]) -> Row:
+def _remembered(
+    cache: FeatureCache,
+    key: str,
+    groups: Sequence[FeatureGroup],
+    seen: HashedFrame,
+    compute: Callable[[StereoFrame], Row],
+) -> Row:
     known = cache.get(key, size=sum(group.size for group in groups))
     if known is None:
-        known = compute()
+        known = compute(seen.read())
         cache.put(key, known)
     return known
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -93,18 +93,34 @@ class Detector:
             RigError: its camera is too far from those of the training data.
             SessionError: the graph does not fit the manifest.
         """
+        (detections,), stages_ms = self.at_scores(frame, (score,))
+        return detections, stages_ms
+
+    def at_scores(
+        self, frame: StereoFrame, scores: Sequence[float | None]
+    ) -> tuple[list[Detections3D], dict[str, float]]:
+        """The boxes of a frame from each of several least scores on, by one run of the network.
+
+        The times are those that the first score takes, as if it alone were asked for.
+
+        Raises:
+            FrameError, RigError, SessionError: as when called.
+        """
         began = time.perf_counter()
         view = self.view(frame.geometry)
         feeds = prepare(frame, view, self.manifest)
         prepared = time.perf_counter()
         cls_logits, box_deltas = self._run(feeds)
         inferred = time.perf_counter()
-        detections = self._readout.decode(cls_logits, box_deltas, view, score=score)
-        decoded = time.perf_counter()
-        detections = self._readout.refine(detections, frame, score=score)
-        refined = time.perf_counter()
+        found, ends = [], []
+        for score in scores:
+            detections = self._readout.decode(cls_logits, box_deltas, view, score=score)
+            decoded = time.perf_counter()
+            found.append(self._readout.refine(detections, frame, score=score))
+            ends.append((decoded, time.perf_counter()))
+        decoded, refined = ends[0]
         times = (prepared - began, inferred - prepared, decoded - inferred, refined - decoded)
-        return detections, {stage: 1e3 * secs for stage, secs in zip(STAGES, times, strict=True)}
+        return found, {stage: 1e3 * secs for stage, secs in zip(STAGES, times, strict=True)}
 
     def look(self, frame: StereoFrame) -> Refined:
         """The boxes of a frame from the manifest's ``evaluate`` score on, with the network's scores, and what was

@@ -9,8 +9,8 @@ import typer
 
 if TYPE_CHECKING:
     from edge.report.rows import Table
-    from runtime.bench import ModelBench
     from runtime.profile import NodeTime
+    from runtime.turns import ModelBench
 
 DEFAULT_FRAMES, DEFAULT_REPEAT = 10, 3
 OPERATORS_SHOWN = 8
@@ -75,8 +75,8 @@ def latency_table(records: list[ModelBench]) -> Table:
     """Medians with the middle four fifths, one row a model."""
     from edge.report.document import model_names
     from edge.report.rows import Table
-    from runtime.bench import TOTAL
     from runtime.contracts.measurement import Measurement
+    from runtime.turns import TOTAL
 
     names = model_names([Measurement(path=item.path, ap={}, frames=0) for item in records])
     stages = [stage for stage in records[0].stages if stage != TOTAL]

@@ -12,6 +12,7 @@ from edge.cli.stages import warn
 
 if TYPE_CHECKING:
     from calib.methods import Range
+    from edge.evaluation.run import ModelRun
     from edge.report.parity import ParityRecord
     from edge.report.repeat import RepeatRecord
     from quantize.adjustments import Way
@@ -22,8 +23,9 @@ if TYPE_CHECKING:
     from runtime.contracts.manifest import ModelDirectory
     from runtime.contracts.measurement import Measurement
     from runtime.peak_memory import PeakMemory
+    from runtime.turns import ModelBench
 
-NOISE_FRAMES, TIMED_FRAMES, TIMED_REPEAT = 2, 4, 2
+NOISE_FRAMES = 2
 PLOTTED_LAYERS = 6
 REPORT_FRAMES = 12
 """Frames of the bundled drive that the report measures; a --validation source is measured whole."""
@@ -63,7 +65,7 @@ def report(
     from quantize.placement import place
     from quantize.prepare import int8_share
     from quantize.sensitivity import layer_noise
-    from runtime.bench import bench_models, profile_directory
+    from runtime.bench import profile_directory
     from runtime.contracts.errors import EdgeError
     from runtime.peak_memory import peak_memory
     from runtime.profile import int8_share as share_of_run
@@ -97,14 +99,13 @@ def report(
         with open_sequence(uri) as source:
             if validation is None:
                 warn_of_overlap(found.frames, source, name=name)
-            pairs = list(spread_frames(source, TIMED_FRAMES))
-            feeds = list(frame_feeds(pairs[:NOISE_FRAMES], manifest, allow_other_rig=allow_other_rig))
+            pairs = list(spread_frames(source, NOISE_FRAMES))
+            feeds = list(frame_feeds(pairs, manifest, allow_other_rig=allow_other_rig))
             graph = build_adjusted(prepared, found, ranges, way.adjustments, given_back=given_back)
             layers = layer_noise(prepared, graph, lambda: feeds)
             paths = [prepared.source.path, written.path]
-            runs, measurements = _measure(paths, source, allow_other_rig=allow_other_rig)
+            runs, measurements, timed = _measure(paths, source, allow_other_rig=allow_other_rig)
             plots = _range_plots(prepared, found, ranges, layers)
-            timed = bench_models(paths, pairs, repeat=TIMED_REPEAT, allow_other_rig=allow_other_rig)
             latency = tuple({**asdict(item), "path": Path(item.path).name} for item in timed)
             with ThreadPoolExecutor() as beside:  # none of these measures time
                 peaks = [beside.submit(peak_memory, path, pairs[0]) for path in paths]
@@ -171,22 +172,24 @@ def _budget_plot(folder: Path, rows: Sequence[Any], budget: float) -> None:
         warn("no picture of the search: matplotlib is missing; pip install '.[report]'")
 
 
-def _measure(paths: Sequence[Path], source: Any, *, allow_other_rig: bool) -> tuple[Any, list[Measurement]]:
-    """Both models on one entered source, the first being the reference; paths are named by their last part."""
+def _measure(
+    paths: Sequence[Path], source: Any, *, allow_other_rig: bool
+) -> tuple[tuple[ModelRun, ModelRun], list[Measurement], list[ModelBench]]:
+    """Both models on one entered source, the first being the reference; records name them by their paths' last part."""
     from dataclasses import replace
 
     from edge.evaluation.measure import assess, measurement
-    from edge.evaluation.run import run_model
+    from edge.evaluation.side_by_side import run_side_by_side
     from edge.report.terminal import progress_bar
 
-    assessments = []
-    for path in paths:
-        with progress_bar(f"measuring {path.name}", len(source)) as step:
-            run = run_model(path, source, on_frame=step, allow_other_rig=allow_other_rig, warn=warn)
-        assessments.append(assess(run))
-    records = [measurement(item, assessments[0] if number else None) for number, item in enumerate(assessments)]
+    with progress_bar("measuring both models", len(source)) as step:
+        (first, second), timed = run_side_by_side(
+            paths, source, on_frame=step, allow_other_rig=allow_other_rig, warn=warn
+        )
+    reference = assess(first)
+    records = [measurement(reference), measurement(assess(second), reference)]
     named = [replace(record, path=path.name) for record, path in zip(records, paths, strict=True)]
-    return (assessments[0].run, assessments[1].run), named
+    return (first, second), named, timed
 
 
 def _range_plots(prepared: Prepared, found: Calibration, ranges: Mapping[str, Range], layers: Sequence[Any]) -> Any:

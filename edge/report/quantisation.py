@@ -56,7 +56,7 @@ class QuantisationRecord:
         calibration_frames: (frame id, start of the pixels' SHA-256).
         layers: noise of every layer.
         kept_float: (node, why) of operators that the recipe would have taken.
-        latency: one record a model, float first, as `runtime.bench` gives them; empty where nothing was timed.
+        latency: one record a model, float first, as `runtime.turns` gives them; empty where nothing was timed.
         size_bytes: of both ONNX files, float first.
         budget: path of the search; empty without one.
         int8_share: of the multiply-adds in the graph.

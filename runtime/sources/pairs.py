@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from runtime.contracts.geometry import StereoGeometry
 from runtime.contracts.objects import Objects3D
 from runtime.rig import load_geometry
 from runtime.sources.base import DEFAULT_CAMERA_HZ, FrameSequence
-from runtime.sources.pictures import read_image
+from runtime.sources.pictures import read_content, read_image
 from runtime.sources.uri import SourceOptions
 
 
@@ -70,20 +71,43 @@ class ImagePairs(FrameSequence):
         self._read_labels = read_labels
         self._geometries: dict[tuple[Path, tuple[int, int]], StereoGeometry] = {}
 
+    def views_digest(self, index: int) -> str:
+        """SHA-256 over the image files of a frame, left then right; decodes nothing.
+
+        Raises:
+            FrameError: an image cannot be read.
+        """
+        pair = self._pairs[self._rows[index]]
+        digest = hashlib.sha256()
+        for path in (pair.left, pair.right):
+            content = b"" if path is None else read_content(path, frame_id=pair.frame_id)
+            digest.update(len(content).to_bytes(8, "big") + content)
+        return digest.hexdigest()
+
+    def geometry(self, index: int, image_size_wh: tuple[int, int]) -> StereoGeometry:
+        """The camera of a frame, whose images have that size; reads no image.
+
+        Raises:
+            FormatError: the calibration is wrong.
+        """
+        return self._geometry(self._pairs[self._rows[index]], image_size_wh)
+
+    def _geometry(self, pair: PairFiles, image_size_wh: tuple[int, int]) -> StereoGeometry:
+        key = (pair.calibration, image_size_wh)
+        if key not in self._geometries:
+            self._geometries[key] = load_geometry(pair.calibration, image_size_wh)
+        return self._geometries[key]
+
     def _read(self, row: int, *, sequence: int) -> StereoFrame:
         pair = self._pairs[row]
         left, right = _read_views(pair)
-        size_wh = (left.shape[1], left.shape[0])
-        key = (pair.calibration, size_wh)
-        if key not in self._geometries:
-            self._geometries[key] = load_geometry(pair.calibration, size_wh)
         return StereoFrame(
             left=left,
             right=right,
             timestamp_secs=pair.timestamp_secs,
             sequence=sequence,
             frame_id=pair.frame_id,
-            geometry=self._geometries[key],
+            geometry=self._geometry(pair, (left.shape[1], left.shape[0])),
         )
 
     def _frame_id(self, row: int) -> str:

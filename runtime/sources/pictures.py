@@ -62,12 +62,7 @@ def read_image(path: Path, *, frame_id: str) -> NDArray[np.uint8]:
     Raises:
         FrameError: the file is missing, damaged, cut short or no image.
     """
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise FrameError(
-            f"frame {frame_id}: {path} cannot be read ({error.strerror}), expected an image; restore the file"
-        ) from error
+    content = read_content(path, frame_id=frame_id)
     damage = find_damage(content)
     image = None if damage else _decode(content)
     if image is None:
@@ -76,6 +71,24 @@ def read_image(path: Path, *, frame_id: str) -> NDArray[np.uint8]:
             "PNG, JPEG or WebP image; copy it again"
         )
     return image
+
+
+def read_content(path: Path, *, frame_id: str) -> bytes:
+    """An image file as it lies on disk.
+
+    Args:
+        path: Any file.
+        frame_id: for messages.
+
+    Raises:
+        FrameError: the file cannot be read.
+    """
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise FrameError(
+            f"frame {frame_id}: {path} cannot be read ({error.strerror}), expected an image; restore the file"
+        ) from error
 
 
 def _decode(content: bytes) -> NDArray[np.uint8] | None:

@@ -27,7 +27,7 @@ from edge.report.files import write_json, write_text
 from edge.report.markdown import markdown_table
 from edge.report.terminal import progress_bar, report_console, show_table
 from edge.samples import calibration_source, measuring_source
-from runtime.bench import TOTAL, bench_models, profile_directory
+from runtime.bench import bench_models, profile_directory
 from runtime.contracts.errors import EdgeError
 from runtime.contracts.frame import StereoFrame
 from runtime.contracts.manifest import MODEL_FILE, open_model_directory
@@ -35,6 +35,7 @@ from runtime.machine import package_version
 from runtime.profile import int8_share
 from runtime.sources.base import FrameSequence
 from runtime.sources.factory import open_sequence
+from runtime.turns import TOTAL
 from tests.benchmarks.quantisers_job import Control, Job, narrowed
 from tests.benchmarks.quantisers_peers import PEERS, Peer
 from tests.benchmarks.quantisers_table import Row, comparison_table, machine_line

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from runtime.bench import TOTAL, bench_models, profile_directory, resident_mib, spread
+from runtime.bench import bench_models, profile_directory
 from runtime.contracts.errors import ManifestError, RigError, SessionError, SourceError
 from runtime.detector import STAGES
 from runtime.profile import by_operator, int8_share, node_times, profile_model
 from runtime.sources.factory import open_source
+from runtime.turns import TOTAL, resident_mib, spread
 
 
 @pytest.fixture
@@ -114,7 +115,7 @@ def test_no_events_no_nodes() -> None:
 
 
 def test_memory_counts_pages_of_the_systems_size(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr("runtime.bench._PROC_STATM", tmp_path / "statm")
+    monkeypatch.setattr("runtime.turns._PROC_STATM", tmp_path / "statm")
     assert resident_mib() is None
     (tmp_path / "statm").write_text("9 2 1 1 0 1 0\n", encoding="ascii")
     monkeypatch.setattr("os.sysconf", {"SC_PAGE_SIZE": 65536}.__getitem__)

@@ -76,7 +76,7 @@ def test_frames_that_calibrated_a_model_are_said(
 ):
     with open_sequence(source) as frames:
         frame = frames[2]
-    calibrated = ChosenFrame("elsewhere/000077", 7, pixel_hash(frame), geometry_hash(frame))
+    calibrated = ChosenFrame("elsewhere/000077", 7, pixel_hash(frame), geometry_hash(frame.geometry))
     strange = ChosenFrame(frame.frame_id, 2, "0" * 16, calibrated.geometry)
     models = [toy_model("fp32")]
     for name, chosen in (("int8", calibrated), ("other", strange)):
