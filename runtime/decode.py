@@ -33,13 +33,13 @@ from runtime.boxcode import (
     rounded_arctan2,
     rounded_exp,
 )
+from runtime.candidates import thinning
 from runtime.contracts.geometry import FloatArray
 from runtime.contracts.manifest import AnchorPriors, Manifest
 from runtime.contracts.objects import Detections3D, wrap_angle_rad
 from runtime.hill_climbing import CLIMBING_CLASS, climb
-from runtime.nms import non_maximum_suppression
 from runtime.preprocess import NetworkView
-from runtime.voting import LEAST_SCORE_SHARE, voted_boxes
+from runtime.voting import LEAST_SCORE_SHARE
 
 PEOPLE: Final = frozenset({"Pedestrian", "Cyclist", "Person_sitting"})
 """Classes that one person may be taken for: these suppress each other whatever their depths."""
@@ -66,7 +66,8 @@ class NetworkBoxes:
 class Decoder:
     """Decodes one model's outputs; keeps the anchors and, for each camera, which of them are usable."""
 
-    def __init__(self, manifest: Manifest, priors: AnchorPriors) -> None:
+    def __init__(self, manifest: Manifest, priors: AnchorPriors, *, use_native: bool = True) -> None:
+        self._thinning = thinning(use_native=use_native)
         self._manifest = manifest
         self._priors = priors
         self._grid = anchor_grid(manifest.anchors, manifest.input_size_hw)
@@ -141,7 +142,7 @@ class Decoder:
         if by_depth:
             groups = self._kind[found.class_id[passed]]
         keep = passed[
-            non_maximum_suppression(
+            self._thinning.suppress(
                 found.boxes[passed, X1 : Y2 + 1].astype(np.float64),
                 found.score[passed].astype(np.float64),
                 policy.iou,
@@ -152,7 +153,7 @@ class Decoder:
         ]
         boxes, class_id = found.boxes[keep], found.class_id[keep]
         if policy.voting_iou is not None:
-            boxes = voted_boxes(found.boxes, found.score, found.class_id, keep, iou=policy.voting_iou)
+            boxes = self._thinning.vote(found.boxes, found.score, found.class_id, keep, iou=policy.voting_iou)
         if self._manifest.hill_climbing and CLIMBING_CLASS in self._manifest.classes:
             cars = class_id == self._manifest.classes.index(CLIMBING_CLASS)
             boxes = climb(boxes, cars, P2=P2, size_hw=self._manifest.input_size_hw)

@@ -21,7 +21,7 @@ class Readout:
     Args:
         manifest: thresholds, suppression, whether depths are refined, and what scores follow from that.
         priors: of the model.
-        use_native: refine depths by the native library where it was built.
+        use_native: thin candidates and refine depths by the native library where it was built.
 
     Raises:
         ManifestError: the manifest's confidence does not fit.
@@ -31,7 +31,7 @@ class Readout:
         check_confidence(manifest.confidence, manifest.classes)
         self._manifest = manifest
         self._refine = refiner(use_native=use_native)
-        self._decoder = Decoder(manifest, priors)
+        self._decoder = Decoder(manifest, priors, use_native=use_native)
 
     def decode(
         self, cls_logits: FloatArray32, box_deltas: FloatArray32, view: NetworkView, *, score: float | None = None

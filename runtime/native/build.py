@@ -34,6 +34,7 @@ LINK_FLAGS = ("-shared", "-static-libstdc++", "-static-libgcc", "-Wl,--exclude-l
 
 _AVX512 = ("-mavx512f", "-mavx512bw", "-mfma")
 _ANYWHERE: dict[str, tuple[str, ...]] = {
+    "candidates.cc": (),
     "correlation_scalar.cc": (),
     "dispatch.cc": (),
     "matching.cc": (),

@@ -4,12 +4,19 @@ from __future__ import annotations
 
 import ctypes
 import os
+from collections.abc import Callable
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 from runtime.native.build import LIBRARY_NAME
 
 ENVIRONMENT_SWITCH = "EDGE_NATIVE"
+
+
+RecordCall = Callable[..., bool]
+"""Takes the records of a function of the library; False, and nothing done, where it is of another build."""
 
 
 def is_wanted() -> bool:
@@ -45,3 +52,33 @@ def instruction_set() -> str | None:
     ask.restype = ctypes.c_char_p
     name: bytes | None = ask()
     return None if name is None else name.decode()
+
+
+def record_call(symbol: str) -> RecordCall | None:
+    """A function of the library that takes records, each by its address and length.
+
+    Returns:
+        It; None where the library is not built or not wanted, cannot be loaded, or is an older one that lacks it.
+    """
+    path = library_path() if is_wanted() else None
+    function = None if path is None else _function(path, symbol)
+    if function is None:
+        return None
+
+    def call(*records: ctypes.Structure) -> bool:
+        arguments = [
+            part for record in records for part in (ctypes.byref(record), ctypes.c_int64(ctypes.sizeof(record)))
+        ]
+        return bool(function(*arguments))
+
+    return call
+
+
+@cache
+def _function(path: Path, symbol: str) -> Any:
+    try:
+        function = getattr(ctypes.CDLL(str(path)), symbol)
+    except (OSError, AttributeError):
+        return None
+    function.restype = ctypes.c_bool
+    return function

@@ -5,8 +5,6 @@ from __future__ import annotations
 import ctypes
 import dataclasses
 from collections.abc import Callable
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +12,7 @@ from numpy.typing import NDArray
 
 from runtime.contracts.geometry import StereoGeometry
 from runtime.contracts.objects import Detections3D
-from runtime.native.library import is_wanted, library_path
+from runtime.native.library import RecordCall, record_call
 from runtime.refinement import evidence as evidence_rules
 from runtime.refinement import matching, mismatch, occluders, samples, surface
 from runtime.refinement.depth import image_rows, refine_depths
@@ -96,9 +94,8 @@ class _Frame(ctypes.Structure):
 
 def refiner(*, use_native: bool = True) -> RefineDepths:
     """The fastest `refine_depths` that there is: the library's; in NumPy where that is not built or not wanted."""
-    path = library_path() if use_native and is_wanted() else None
-    kernel = None if path is None else _kernel(path)
-    if kernel is None:
+    call = record_call(_SYMBOL) if use_native else None
+    if call is None:
         return refine_depths
     rules = _rules()
 
@@ -106,7 +103,7 @@ def refiner(*, use_native: bool = True) -> RefineDepths:
         evidence = np.tile(UNSEARCHED, (len(found), 1))
         if len(found) == 0:
             return Refined(found, evidence)
-        centers = _refined_centers(kernel, rules, found, left, right, geometry, evidence=evidence)
+        centers = _refined_centers(call, rules, found, left, right, geometry, evidence=evidence)
         if centers is None:
             return refine_depths(found, left, right, geometry)
         return Refined(dataclasses.replace(found, center_in_camera=centers), evidence)
@@ -114,19 +111,8 @@ def refiner(*, use_native: bool = True) -> RefineDepths:
     return refine
 
 
-@cache
-def _kernel(path: Path) -> Any:
-    try:
-        kernel = getattr(ctypes.CDLL(str(path)), _SYMBOL)
-    except (OSError, AttributeError):  # an older build lacks it
-        return None
-    kernel.restype = ctypes.c_bool
-    kernel.argtypes = (ctypes.POINTER(_Frame), _INT, ctypes.POINTER(_Rules), _INT)
-    return kernel
-
-
 def _refined_centers(
-    kernel: Any,
+    call: RecordCall,
     rules: _Rules,
     found: Detections3D,
     left: Pixels,
@@ -161,8 +147,7 @@ def _refined_centers(
         P2[0, 2] - P3[0, 2],
         (_DOUBLE * 2)(*geometry.to_left_camera_m[:2]),
     )
-    ran = kernel(ctypes.byref(frame), ctypes.sizeof(frame), ctypes.byref(rules), ctypes.sizeof(rules))
-    return centers if ran else None
+    return centers if call(frame, rules) else None
 
 
 def _rules() -> _Rules:

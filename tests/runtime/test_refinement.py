@@ -221,7 +221,7 @@ def test_a_library_of_another_build_is_not_believed(monkeypatch: pytest.MonkeyPa
     left, right = pair(wall(15.0))
     found = one("Pedestrian", 14.0)
     expected = refine_depths(found, left, right, rig())
-    monkeypatch.setattr("runtime.refinement.kernel._kernel", lambda path: lambda *records: False)
+    monkeypatch.setattr("runtime.refinement.kernel.record_call", lambda symbol: lambda *records: False)
     refined = refiner()(found, left, right, rig())
     np.testing.assert_array_equal(refined.detections.center_in_camera, expected.detections.center_in_camera)
     np.testing.assert_array_equal(refined.evidence, expected.evidence)

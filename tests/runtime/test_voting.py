@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -9,10 +10,10 @@ import pytest
 
 from edge.detector.presets import preset
 from runtime.boxcode import ALPHA, CX, X1, Y2, Z
+from runtime.candidates import Thinning, thinning
 from runtime.contracts.manifest import AnchorPriors, Manifest
 from runtime.decode import Decoder
 from runtime.nms import iou_one_to_many
-from runtime.voting import voted_boxes
 
 IOU = 0.7
 FLOAT32_SHARE = 1e-6
@@ -23,22 +24,40 @@ def box(*, shift: float = 0.0, z: float = 20.0, alpha: float = 0.1) -> np.ndarra
     return np.array([100 + shift, 50, 160 + shift, 90, 130 + shift, 70, z, 1.6, 1.5, 4.0, alpha], np.float32)
 
 
-def voted(boxes: list[np.ndarray], score: list[float], class_id: list[int] | None = None) -> np.ndarray:
-    ids = np.array([0] * len(boxes) if class_id is None else class_id)
-    return voted_boxes(np.stack(boxes), np.array(score, np.float32), ids, np.array([0]), iou=IOU)[0]
+Vote = Callable[..., np.ndarray]
 
 
-def test_no_box_gives_no_box() -> None:
+@pytest.fixture(params=["numpy", "native"])
+def vote(request: pytest.FixtureRequest) -> Vote:
+    """Both ways to average boxes."""
+    found = thinning(use_native=request.param == "native")
+    if request.param == "native" and found == Thinning():
+        pytest.skip("the native library is not built")
+    return found.vote
+
+
+@pytest.fixture
+def voted(vote: Vote) -> Vote:
+    """The mean that the first of a few boxes becomes."""
+
+    def first(boxes: list[np.ndarray], score: list[float], class_id: list[int] | None = None) -> np.ndarray:
+        ids = np.array([0] * len(boxes) if class_id is None else class_id)
+        return vote(np.stack(boxes), np.array(score, np.float32), ids, np.array([0]), iou=IOU)[0]
+
+    return first
+
+
+def test_no_box_gives_no_box(vote: Vote) -> None:
     none = np.zeros((0, 11), np.float32)
     ids = np.zeros(0, np.int64)
-    assert voted_boxes(none, np.zeros(0, np.float32), ids, ids, iou=IOU).shape == (0, 11)
+    assert vote(none, np.zeros(0, np.float32), ids, ids, iou=IOU).shape == (0, 11)
 
 
-def test_a_box_alone_stays_to_the_bit() -> None:
+def test_a_box_alone_stays_to_the_bit(voted: Vote) -> None:
     np.testing.assert_array_equal(voted([box(alpha=3.1)], [0.7]), box(alpha=3.1))
 
 
-def test_boxes_that_agree_are_averaged_by_the_square_of_their_scores() -> None:
+def test_boxes_that_agree_are_averaged_by_the_square_of_their_scores(voted: Vote) -> None:
     found = voted([box(), box(shift=4.0, z=21.0)], [0.8, 0.4])
     share = 0.16 / 0.80
     assert found[CX] == pytest.approx(130 + 4 * share, rel=FLOAT32_SHARE)
@@ -54,11 +73,11 @@ def test_boxes_that_agree_are_averaged_by_the_square_of_their_scores() -> None:
         (box(z=21.0), 0.35, 0),  # hardly a box
     ],
 )
-def test_boxes_that_do_not_agree_have_no_vote(other: np.ndarray, score: float, class_id: int) -> None:
+def test_boxes_that_do_not_agree_have_no_vote(voted: Vote, other: np.ndarray, score: float, class_id: int) -> None:
     np.testing.assert_array_equal(voted([box(), other], [0.8, score], [0, class_id]), box())
 
 
-def test_angles_are_averaged_across_the_turn_and_only_with_their_like() -> None:
+def test_angles_are_averaged_across_the_turn_and_only_with_their_like(voted: Vote) -> None:
     around = voted([box(alpha=3.1), box(alpha=-3.1)], [0.8, 0.8])
     assert np.cos(around[ALPHA]) == pytest.approx(-1.0, abs=FLOAT32_SHARE)
     opposite = voted([box(alpha=0.1), box(alpha=0.1 - np.pi, z=21.0)], [0.8, 0.8])
@@ -122,7 +141,7 @@ def test_cars_and_people_drop_each_other_only_where_depths_agree(manifest: Manif
 
 
 def plain_votes(boxes: np.ndarray, score: np.ndarray, class_id: np.ndarray, keep: np.ndarray) -> np.ndarray:
-    """`voted_boxes` box by box, as its text says it."""
+    """`runtime.voting.voted_boxes` box by box, as its text says it."""
     result = boxes[keep].astype(np.float64)
     for row, index in enumerate(keep):
         kept = boxes[index].astype(np.float64)
@@ -139,7 +158,7 @@ def plain_votes(boxes: np.ndarray, score: np.ndarray, class_id: np.ndarray, keep
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_many_boxes_of_mixed_classes_kept_in_any_order(seed: int) -> None:
+def test_many_boxes_of_mixed_classes_kept_in_any_order(vote: Vote, seed: int) -> None:
     rng = np.random.default_rng(seed)
     boxes = np.stack(
         [
@@ -152,6 +171,6 @@ def test_many_boxes_of_mixed_classes_kept_in_any_order(seed: int) -> None:
     score = rng.choice(np.array([0.1, 0.2, 0.25, 0.4, 0.5, 0.9], np.float32), 80)  # ties, and halves of one another
     class_id = rng.integers(0, 3, 80)
     keep = rng.permutation(80)[:20]
-    found = voted_boxes(boxes, score, class_id, keep, iou=IOU)
+    found = vote(boxes, score, class_id, keep, iou=IOU)
     assert (found != boxes[keep]).any(axis=1).sum() > 5
     np.testing.assert_allclose(found, plain_votes(boxes, score, class_id, keep), rtol=1e-5, atol=1e-5)

@@ -9,6 +9,7 @@
 #include <random>
 #include <vector>
 
+#include "candidates.h"
 #include "correlation.h"
 #include "refine.h"
 
@@ -180,6 +181,56 @@ int CheckRefine(std::mt19937& random) {
   return wrong;
 }
 
+// Boxes on a few spots, also of no size, of several classes and depths.
+int CheckCandidates(std::mt19937& random) {
+  const int64_t count = 300, columns = 11;
+  std::uniform_real_distribution<double> uniform(0.0, 1.0);
+  std::vector<float> boxes, score;
+  std::vector<double> corners, depth;
+  std::vector<int64_t> class_id, keep;
+  for (int64_t i = 0; i < count; ++i) {
+    const double x = 20.0 * std::floor(4.0 * uniform(random)), y = 3.0 * uniform(random);
+    const double width = i % 7 == 0 ? 0.0 : 10.0 + 3.0 * uniform(random);
+    const double z = 10.0 + 10.0 * uniform(random);
+    corners.insert(corners.end(), {x, y, x + width, y + 12.0});
+    depth.push_back(z);
+    for (int64_t column = 0; column < columns; ++column) {
+      const double value = column < 4    ? corners[static_cast<size_t>(4 * i + column)]
+                           : column == 6 ? z
+                                         : uniform(random);
+      boxes.push_back(static_cast<float>(value));
+    }
+    score.push_back(1.0f - 0.9f * static_cast<float>(i) / count);
+    class_id.push_back(static_cast<int64_t>(3.0 * uniform(random)));
+  }
+  int wrong = 0;
+  int64_t before = 0;
+  for (const bool grouped : {false, true}) {
+    std::vector<uint8_t> alive(count);
+    edge::Suppress({corners.data(), grouped ? class_id.data() : nullptr,
+                    grouped ? depth.data() : nullptr, count, 0.4, 0.15, alive.data()});
+    keep.clear();
+    for (int64_t i = 0; i < count; ++i) {
+      if (alive[static_cast<size_t>(i)]) keep.push_back(i);
+    }
+    const int64_t kept = static_cast<int64_t>(keep.size());
+    wrong += kept <= before || kept == count;  // fewer are rivals by group
+    before = kept;
+  }
+  std::vector<float> means(keep.size() * columns);
+  edge::Vote({boxes.data(), score.data(), class_id.data(), keep.data(), count,
+              static_cast<int64_t>(keep.size()), 0.7, 0.5, 0.15, 0.8, means.data()});
+  int moved = 0;
+  for (size_t m = 0; m < keep.size(); ++m) {
+    for (int64_t column = 0; column < columns; ++column) {
+      const float mean = means[m * columns + static_cast<size_t>(column)];
+      wrong += !std::isfinite(mean);
+      moved += mean != boxes[static_cast<size_t>(keep[m] * columns + column)];
+    }
+  }
+  return wrong + (moved == 0);
+}
+
 }  // namespace
 
 int main() {
@@ -203,6 +254,9 @@ int main() {
   const int refined = CheckRefine(random);
   std::printf("refine: %d wrong\n", refined);
   wrong += refined;
+  const int thinned = CheckCandidates(random);
+  std::printf("candidates: %d wrong\n", thinned);
+  wrong += thinned;
   if (edge::SelectKernels("mmx") != nullptr || edge::SelectKernels(nullptr) == nullptr) ++wrong;
   return wrong == 0 ? 0 : 1;
 }
