@@ -17,7 +17,8 @@ from runtime.contracts.frame import StereoFrame
 from runtime.contracts.geometry import StereoGeometry
 from runtime.sources.pairs import ImagePairs
 
-_METHOD = f"pixels and size by encoded views, OpenCV {cv2.__version__}"
+_METHOD = f"pixels-1 by encoded views, OpenCV {cv2.__version__}"
+"""Changes with `calib.frames.pixel_hash` and with how images are read, so that older hashes are not taken for new ones."""
 _WORD_DIGITS = SHORT_HASH // 2
 
 

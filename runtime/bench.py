@@ -30,7 +30,7 @@ def bench_models(
         frames: Camera pairs, all in memory.
         repeat: How often each frame is looked at.
         threads: Of one operator; None leaves it to ONNX Runtime.
-        use_native: Whether to take the native correlation library.
+        use_native: Whether to take the native library.
         allow_other_rig: Accept cameras far from those of the training data.
         progress: Told how many rounds are done, and how many there are.
 

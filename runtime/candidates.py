@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.boxcode import FloatArray32
+from runtime.boxcode import ALPHA, FloatArray32
 from runtime.contracts.geometry import FloatArray
 from runtime.native.library import RecordCall, record_call
 from runtime.nms import non_maximum_suppression
 from runtime.voting import LEAST_SCORE_SHARE, NEAR_ANGLE_RAD, NEAR_DEPTH_SHARE, voted_boxes
 
+_COLUMNS = ALPHA + 1
 _DOUBLE, _INT, _ADDRESS = ctypes.c_double, ctypes.c_int64, ctypes.c_void_p
 
 
@@ -89,7 +90,7 @@ def _suppression(call: RecordCall) -> Callable[..., NDArray[np.int64]]:
         depth_share: float = 0.0,
     ) -> NDArray[np.int64]:
         order = np.argsort(-scores, kind="stable")
-        ranked = np.ascontiguousarray(boxes[order], np.float64)
+        ranked = np.ascontiguousarray(boxes[order], np.float64).reshape(-1, 4)
         group = None if groups is None else groups[order].astype(np.int64, copy=False)
         depth = None if groups is None or depths is None else depths[order].astype(np.float64, copy=False)
         alive = np.empty(len(order), np.bool_)
@@ -112,12 +113,12 @@ def _voting(call: RecordCall) -> Callable[..., FloatArray32]:
         rank = np.empty_like(order)
         rank[order] = np.arange(len(order))
         columns = (
-            np.ascontiguousarray(boxes[order], np.float32),
+            np.ascontiguousarray(boxes[order], np.float32).reshape(-1, _COLUMNS),
             score[order].astype(np.float32, copy=False),
             class_id[order].astype(np.int64, copy=False),
             np.ascontiguousarray(rank[keep], np.int64),
         )
-        means = np.empty((len(keep), boxes.shape[1]), np.float32)
+        means = np.empty((len(keep), _COLUMNS), np.float32)
         frame = _VotingFrame(
             *(_address(item) for item in columns),
             len(order),

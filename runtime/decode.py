@@ -1,4 +1,4 @@
-"""From head outputs to 3D boxes, on the CPU in NumPy (paper, section III-A1; official order of steps).
+"""From head outputs to 3D boxes, on the CPU (paper, section III-A1; official order of steps).
 
 Usable anchors whose best class passes the threshold are decoded, clipped, dropped where their class has no prior,
 and thinned by NMS; where the manifest asks for it, what is kept becomes the mean of all that agree (`runtime.voting`).

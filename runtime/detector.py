@@ -178,7 +178,7 @@ def open_detector(
     Args:
         path: model directory, or one that was verified already.
         threads: of one operator; None leaves it to ONNX Runtime.
-        use_native: take the native correlation library where it was built.
+        use_native: take the native library where it was built.
         allow_other_rig: accept cameras far from those of the training data.
         warn: is told, once, that a camera differs.
 

@@ -27,6 +27,7 @@ from runtime.detector import STAGES, Detector, open_detector
 
 TOTAL = "total"
 WARM_UP_RUNS = 1
+"""After the first run, which counts as start-up; from the second one on times stay as they are."""
 _PROC_STATM = Path("/proc/self/statm")
 _MEBI = 1 << 20
 
@@ -52,7 +53,7 @@ class ModelBench:
 
     Attributes:
         path: model directory as given; recipe: of its manifest.
-        stages: ``preprocess``, ``inference``, ``decode`` and ``total``.
+        stages: ``preprocess``, ``inference``, ``decode``, ``refine`` and ``total``.
         ratio: its total over the first model's, median over pairs of neighbouring runs; 1 for the first.
         runs: timed runs.
         start_up_ms: opening, loading and the first frame.
@@ -98,7 +99,7 @@ class Turns:
             paths: Model directories; the first is what the ratios refer to.
             first: The frame that they warm up with.
             threads: Of one operator; None leaves it to ONNX Runtime.
-            use_native: Whether to take the native correlation library.
+            use_native: Whether to take the native library.
             allow_other_rig: Accept cameras far from those of the training data.
             warn: Is told, once a model, that a camera differs.
 
@@ -138,6 +139,11 @@ class Turns:
     def manifests(self) -> list[Manifest]:
         """What each model says of itself, in order."""
         return [item.detector.manifest for item in self._loaded]
+
+    @property
+    def totals_ms(self) -> list[list[float]]:
+        """What each run took, by model and frame."""
+        return [[run[TOTAL] for run in item.runs_ms] for item in self._loaded]
 
     def __call__(self, frame: StereoFrame, *, evaluate: bool = False) -> list[Detections3D]:
         """All models on one frame; what is timed goes from each one's display score on, as a stream does.

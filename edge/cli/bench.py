@@ -23,7 +23,7 @@ def bench_command(
     repeat: Annotated[int, typer.Option(min=1, help="How often each is looked at.")] = DEFAULT_REPEAT,
     threads: Annotated[int | None, typer.Option(min=1, help="Of one operator; default: all cores.")] = None,
     profile: Annotated[bool, typer.Option("--profile", help="Also show the time of each operator.")] = False,
-    native: Annotated[bool, typer.Option(help="Use the native correlation library.")] = True,
+    native: Annotated[bool, typer.Option(help="Use the native library: correlations, suppression, depths.")] = True,
     json: Annotated[Path | None, typer.Option(help="Write the figures to this file.")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace that file if it is there.")] = False,
     allow_other_rig: Annotated[

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from edge.evaluation.run import READ, ModelRun
-from runtime.contracts.errors import SourceError
 from runtime.contracts.objects import Detections3D, Objects3D
 from runtime.detector import STAGES
 from runtime.pipeline import FrameReader
@@ -26,7 +25,8 @@ def run_side_by_side(
 ) -> tuple[list[ModelRun], list[ModelBench]]:
     """Detects in every frame of an entered, recorded source, down to each model's evaluation score.
 
-    All models are in memory at once, and every frame is read once. Times are of boxes from the display score on.
+    All models are in memory at once and see a frame one after another, while the next one is read. Times are of boxes
+    from the display score on; the total begins with reading.
 
     Args:
         paths: model directories; ratios of the times refer to the first.
@@ -41,12 +41,10 @@ def run_side_by_side(
     Raises:
         ManifestError: a model directory is incomplete or altered.
         SessionError: a graph cannot be loaded or run.
-        SourceError: the source is live, or has no frame.
+        SourceError: the source is live.
         FrameError, RigError: a frame is unusable for a model.
     """
     frames = as_sequence(source)
-    if not len(frames):
-        raise SourceError(f"{source.uri} holds no frame, expected at least one; check its path and options")
     frame_ids: list[str] = []
     labels: list[Objects3D | None] = []
     read_ms: list[float] = []
@@ -60,9 +58,10 @@ def run_side_by_side(
                 read_ms.append(item.read_ms)
                 on_frame()
         benches, manifests = look.records(), look.manifests
+        total_ms = np.array(look.totals_ms) + np.array(read_ms)
     runs = []
     for number, (bench, manifest) in enumerate(zip(benches, manifests, strict=True)):
-        medians = {stage: bench.stages[stage].median for stage in (*STAGES, TOTAL)}
+        medians = {stage: bench.stages[stage].median for stage in STAGES}
         runs.append(
             ModelRun(
                 path=bench.path,
@@ -71,7 +70,7 @@ def run_side_by_side(
                 frame_ids=tuple(frame_ids),
                 labels=tuple(labels),
                 detections=tuple(boxes[number] for boxes in found),
-                latency_ms={READ: float(np.median(read_ms)), **medians},
+                latency_ms={READ: float(np.median(read_ms)), **medians, TOTAL: float(np.median(total_ms[number]))},
             )
         )
     return runs, benches

@@ -1,4 +1,4 @@
-"""Where the built operator library lies, and what it would run on this machine."""
+"""Where the built library lies, what it would run on this machine, and its functions beside the operators."""
 
 from __future__ import annotations
 

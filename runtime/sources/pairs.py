@@ -80,8 +80,9 @@ class ImagePairs(FrameSequence):
         pair = self._pairs[self._rows[index]]
         digest = hashlib.sha256()
         for path in (pair.left, pair.right):
-            content = b"" if path is None else read_content(path, frame_id=pair.frame_id)
-            digest.update(len(content).to_bytes(8, "big") + content)
+            if path is not None:
+                content = read_content(path, frame_id=pair.frame_id)
+                digest.update(len(content).to_bytes(8, "big") + content)
         return digest.hexdigest()
 
     def geometry(self, index: int, image_size_wh: tuple[int, int]) -> StereoGeometry:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from runtime.candidates import Thinning, thinning
+from runtime.candidates import Thinning
 from runtime.nms import iou_one_to_many, non_maximum_suppression
 
 Suppress = Callable[..., np.ndarray]
@@ -18,9 +18,7 @@ Suppress = Callable[..., np.ndarray]
 @pytest.fixture(params=["numpy", "native"])
 def suppress(request: pytest.FixtureRequest) -> Suppress:
     """Both ways to thin boxes."""
-    found = thinning(use_native=request.param == "native")
-    if request.param == "native" and found == Thinning():
-        pytest.skip("the native library is not built")
+    found: Thinning = Thinning() if request.param == "numpy" else request.getfixturevalue("native_thinning")
     return found.suppress
 
 
@@ -74,11 +72,8 @@ def test_idempotent_and_kept_boxes_are_apart(suppress: Suppress, count: int, see
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(1, 200), st.integers(0, 2**31 - 1), st.sampled_from(["all", "groups", "depths"]))
-def test_the_library_keeps_what_numpy_keeps(count: int, seed: int, rivals: str) -> None:
+def test_the_library_keeps_what_numpy_keeps(native_thinning: Thinning, count: int, seed: int, rivals: str) -> None:
     """Boxes of whole pixels: ties of scores, overlaps of just the threshold; some have no size or no number."""
-    native = thinning()
-    if native == Thinning():
-        pytest.skip("the native library is not built")
     rng = np.random.default_rng(seed)
     lower = rng.integers(0, 20, (count, 2)).astype(np.float64)
     boxes = np.concatenate([lower, lower + rng.integers(0, 12, (count, 2))], axis=1)
@@ -89,5 +84,5 @@ def test_the_library_keeps_what_numpy_keeps(count: int, seed: int, rivals: str) 
     depths = rng.uniform(5, 20, count) if rivals == "depths" else None
     with np.errstate(invalid="ignore"):
         expected = non_maximum_suppression(boxes, scores, 0.5, groups=groups, depths=depths, depth_share=0.15)
-    found = native.suppress(boxes, scores, 0.5, groups=groups, depths=depths, depth_share=0.15)
+    found = native_thinning.suppress(boxes, scores, 0.5, groups=groups, depths=depths, depth_share=0.15)
     np.testing.assert_array_equal(found, expected)

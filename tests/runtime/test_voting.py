@@ -10,7 +10,7 @@ import pytest
 
 from edge.detector.presets import preset
 from runtime.boxcode import ALPHA, CX, X1, Y2, Z
-from runtime.candidates import Thinning, thinning
+from runtime.candidates import Thinning
 from runtime.contracts.manifest import AnchorPriors, Manifest
 from runtime.decode import Decoder
 from runtime.nms import iou_one_to_many
@@ -30,9 +30,7 @@ Vote = Callable[..., np.ndarray]
 @pytest.fixture(params=["numpy", "native"])
 def vote(request: pytest.FixtureRequest) -> Vote:
     """Both ways to average boxes."""
-    found = thinning(use_native=request.param == "native")
-    if request.param == "native" and found == Thinning():
-        pytest.skip("the native library is not built")
+    found: Thinning = Thinning() if request.param == "numpy" else request.getfixturevalue("native_thinning")
     return found.vote
 
 

@@ -30,6 +30,7 @@ def test_turns_find_what_each_model_finds_alone(toy_model: Callable[..., Path], 
         assert (turn.path, turn.classes, turn.score_display) == (one.path, one.classes, one.score_display)
         assert turn.frame_ids == one.frame_ids
         assert set(turn.latency_ms) == set(one.latency_ms)
+        assert turn.latency_ms["total"] > turn.latency_ms["inference"]
         assert bench.path == str(path)
         assert bench.runs == 6
         for found, expected in zip(turn.detections, one.detections, strict=True):

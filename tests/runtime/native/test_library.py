@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import subprocess
 import sys
@@ -51,6 +52,28 @@ def test_environment_lowers_the_instruction_set(monkeypatch: pytest.MonkeyPatch)
     assert library.instruction_set() == "scalar"
     monkeypatch.setenv("EDGE_NATIVE_ISA", "unheard")
     assert library.instruction_set() is None
+
+
+class OfAnotherBuild(ctypes.Structure):
+    """A record that no function of the library takes."""
+
+    _fields_ = (("number", ctypes.c_int64),)
+
+
+@pytest.mark.usefixtures("native_library")
+@pytest.mark.parametrize(("symbol", "records"), [("EdgeSuppress", 1), ("EdgeVote", 1), ("EdgeRefineDepths", 2)])
+def test_records_of_another_build_are_refused(symbol: str, records: int) -> None:
+    call = library.record_call(symbol)
+    assert call is not None
+    assert call(*(OfAnotherBuild() for _ in range(records))) is False
+
+
+def test_a_function_that_is_not_there_is_none(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    assert library.record_call("EdgeUnheard") is None
+    broken = tmp_path / LIBRARY_NAME
+    broken.write_bytes(b"no library")
+    monkeypatch.setattr(library, "library_path", lambda: broken)
+    assert library.record_call("EdgeVote") is None
 
 
 def test_installing_without_a_compiler_succeeds_and_says_so_once(tmp_path: Path) -> None:
