@@ -18,7 +18,7 @@ from runtime.contracts.geometry import StereoGeometry
 from runtime.sources.pairs import ImagePairs
 
 _METHOD = f"pixels-1 by encoded views, OpenCV {cv2.__version__}"
-"""Changes with `calib.frames.pixel_hash` and with how images are read, so that older hashes are not taken for new ones."""
+"""Changes with `calib.frames.pixel_hash` and with how images are read, so that no older hash is taken for a new one."""
 _WORD_DIGITS = SHORT_HASH // 2
 
 
