@@ -123,7 +123,6 @@ class Turns:
                 for _ in range(WARM_UP_RUNS):
                     item.detector(first)
             self._stack = stack.pop_all()
-        self._rounds = 0
 
     def __enter__(self) -> Self:
         """Returns itself."""
@@ -158,16 +157,17 @@ class Turns:
         Raises:
             FrameError, RigError, SessionError: The frame or a model is unusable.
         """
-        turn = self._rounds % len(self._loaded)
+        count = len(self._loaded)
+        turn = len(self._loaded[0].runs_ms) % count
         found: dict[int, Detections3D] = {}
-        for item in (*self._loaded[turn:], *self._loaded[:turn]):
+        for place in (*range(turn, count), *range(turn)):
+            item = self._loaded[place]
             thresholds = item.detector.manifest.thresholds
             scores = (thresholds.display, thresholds.evaluate) if evaluate else (thresholds.display,)
             detections, stages_ms = item.detector.at_scores(frame, scores)
             item.runs_ms.append({**stages_ms, TOTAL: sum(stages_ms.values())})
-            found[id(item)] = detections[-1]
-        self._rounds += 1
-        return [found[id(item)] for item in self._loaded]
+            found[place] = detections[-1]
+        return [found[place] for place in range(count)]
 
     def records(self) -> list[ModelBench]:
         """The figures of all runs so far, one record a model, in order."""
