@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
-from calib.frames import CalibrationSet, pixel_hash
+from calib.frame_hashes import FrameHashes
+from calib.frames import CalibrationSet
 from runtime.contracts.frame import StereoFrame
 
 NEAR_FRAMES = 10
@@ -13,10 +14,24 @@ NEAR_FRAMES = 10
 _NUMBERED = re.compile(r"(?P<drive>.+)/(?P<number>\d+)")
 
 
-def overlap(calibration: CalibrationSet, measuring: Iterable[StereoFrame]) -> tuple[str, ...]:
-    """Ids of measuring frames whose pixels calibrated, too."""
+def overlap(
+    calibration: CalibrationSet, measuring: Sequence[StereoFrame], *, use_cache: bool = True
+) -> tuple[str, ...]:
+    """Ids of measuring frames whose pixels calibrated, too.
+
+    Args:
+        calibration: The choice.
+        measuring: Entered frames by index.
+        use_cache: Look for, and keep, hashes of frames in the user's cache folder.
+
+    Raises:
+        FrameError: An image is missing, broken or of another size.
+        FormatError: A calibration is wrong.
+    """
     known = {frame.pixels for frame in calibration.frames}
-    return tuple(frame.frame_id for frame in measuring if pixel_hash(frame) in known)
+    with FrameHashes(measuring, enabled=use_cache) as hashes:
+        seen = [hashes[index].chosen for index in range(len(measuring))]
+    return tuple(frame.frame_id for frame in seen if frame.pixels in known)
 
 
 def neighbours(calibration: CalibrationSet, frame_ids: Iterable[str], *, near: int = NEAR_FRAMES) -> tuple[str, ...]:

@@ -12,13 +12,14 @@ if TYPE_CHECKING:
     from calib.frames import CalibrationSet
 
 
-def refuse_overlap(chosen: CalibrationSet, validation: str, *, allow: bool) -> None:
+def refuse_overlap(chosen: CalibrationSet, validation: str, *, allow: bool, use_cache: bool) -> None:
     """Compares the pixels of calibration and validation frames before minutes go by.
 
     Args:
         chosen: The calibration frames.
         validation: URI of the frames that measure.
         allow: Warn instead.
+        use_cache: Look for, and keep, hashes of frames in the user's cache folder.
 
     Raises:
         QuantizeError: A frame does both.
@@ -31,9 +32,9 @@ def refuse_overlap(chosen: CalibrationSet, validation: str, *, allow: bool) -> N
     name = public_name(validation)
     with open_sequence(validation) as source:
         if allow:
-            warn_of_overlap(chosen, source, name=name)
+            warn_of_overlap(chosen, source, name=name, use_cache=use_cache)
             return
-        shared = overlap(chosen, source)
+        shared = overlap(chosen, source, use_cache=use_cache)
         if shared:
             raise QuantizeError(
                 f"--validation: found {len(shared)} frames that calibrate, too (the first is {shared[0]}); expected "
@@ -58,11 +59,13 @@ def warn_of_calibrated(models: Sequence[Path], source: Any, *, uri: str) -> None
             warn_of_overlap(chosen, source, name=public_name(uri), tell=lambda line, path=path: warn(f"{path}: {line}"))
 
 
-def warn_of_overlap(chosen: CalibrationSet, source: Any, *, name: str, tell: Callable[[str], None] = warn) -> None:
+def warn_of_overlap(
+    chosen: CalibrationSet, source: Any, *, name: str, use_cache: bool = True, tell: Callable[[str], None] = warn
+) -> None:
     """One line where frames of an entered source calibrated, too, or were taken next to some that did."""
     from calib.overlap import overlap
 
-    shared = overlap(chosen, source)
+    shared = overlap(chosen, source, use_cache=use_cache)
     if shared:
         tell(
             f"{len(shared)} of the measured frames calibrated, too (the first is {shared[0]}): "

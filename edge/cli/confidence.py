@@ -60,11 +60,23 @@ def confidence_command(
     fits = []
     for name in names:
         try:
-            fits.append(fit_confidence(found, labels, widths, name))
+            fit = fit_confidence(found, labels, widths, name)
         except TooFewBoxesError as error:
             if classes is not None or (name == names[-1] and not fits):
                 raise
             warn(f"{error}, or {name} keeps the network's score")
+            continue
+        if fit.loss_after < fit.loss_before:
+            fits.append(fit)
+        else:
+            warn(
+                f"{name} keeps the network's score: on frames left out of learning its surprise is "
+                f"{fit.loss_before:.3f}, that of what refinement learned {fit.loss_after:.3f}"
+            )
+    if not fits:
+        raise EdgeError(
+            f"{model}: found no class whose scores {len(labels)} frames better, expected one; give more labelled frames"
+        )
     record = ConfidenceRecord(
         weights={fit.name: fit.weights for fit in fits},
         facts={

@@ -124,7 +124,7 @@ def quantize_command(
             warn=warn,
         )
         if validation is not None:
-            refuse_overlap(chosen.chosen, validation, allow=allow_overlap)
+            refuse_overlap(chosen.chosen, validation, allow=allow_overlap, use_cache=use_cache)
         prepared = equalised(prepared, chosen, use_cache=use_cache, allow_other_rig=allow_other_rig, progress=progress)
         found = calibrate(prepared, chosen, use_cache=use_cache, allow_other_rig=allow_other_rig, progress=progress)
         reached = "remembered from an earlier run" if found.from_cache else "run"
@@ -190,6 +190,7 @@ def quantize_command(
         budget=budget,
         parity=parity,
         repeat=how_to_repeat(context, way.prepared, found, written, given_back=given_back),
+        use_cache=use_cache,
         allow_other_rig=allow_other_rig,
     )
     if counts:

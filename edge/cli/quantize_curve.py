@@ -100,7 +100,11 @@ def write_curve_of(
         for way in dict.fromkeys((choice, EVEN)):
             whole = choose_from(pool, frames, max(counts), name=public_name(calibration), method=way)
             warn_of_overlap(
-                whole.chosen, source, name=public_name(uri), tell=lambda line, way=way: warn(f"{way}: {line}")
+                whole.chosen,
+                source,
+                name=public_name(uri),
+                use_cache=use_cache,
+                tell=lambda line, way=way: warn(f"{way}: {line}"),
             )
             seen = observe_first(
                 prepared, whole, counts, allow_other_rig=allow_other_rig, progress=_named(progress, way)

@@ -43,6 +43,7 @@ def report(
     budget: float | None,
     parity: ParityRecord,
     repeat: RepeatRecord,
+    use_cache: bool,
     allow_other_rig: bool,
 ) -> list[Any]:
     """Measures, writes report.md and report.json into the model directory, and gives the tables to show."""
@@ -98,7 +99,7 @@ def report(
         name = public_name(uri)
         with open_sequence(uri) as source:
             if validation is None:
-                warn_of_overlap(found.frames, source, name=name)
+                warn_of_overlap(found.frames, source, name=name, use_cache=use_cache)
             pairs = list(spread_frames(source, NOISE_FRAMES))
             feeds = list(frame_feeds(pairs, manifest, allow_other_rig=allow_other_rig))
             graph = build_adjusted(prepared, found, ranges, way.adjustments, given_back=given_back)

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from calib.frame_hashes import FrameHashes
-from calib.frames import geometry_hash, pixel_hash
+from calib.frames import CalibrationSet, geometry_hash, pixel_hash
+from calib.overlap import overlap
 from runtime.contracts.errors import FrameError
 from runtime.sources.factory import open_sequence
 from runtime.sources.pairs import ImagePairs
@@ -62,6 +63,13 @@ def test_remembered_hashes_are_those_of_the_decoded_frames(drive, cache_home, mo
         look(drive, enabled=False)
     with pytest.raises(AssertionError, match="decoded"):  # one view alone is another frame
         look(f"{drive}?views=left")
+
+
+def test_measured_frames_looked_at_before_are_compared_undecoded(drive, cache_home, monkeypatch) -> None:
+    chosen = CalibrationSet("a drive", (look(drive)[2].chosen,), 4, "even")
+    monkeypatch.setattr(ImagePairs, "_read", None)
+    with open_sequence(drive) as source:
+        assert overlap(chosen, source) == ("000002",)
 
 
 def test_files_count_not_names(drive, cache_home, tmp_path) -> None:

@@ -9,6 +9,8 @@ import pytest
 from typer.testing import CliRunner
 
 from edge.cli.main import app
+from edge.evaluation import confidence_fit
+from edge.evaluation.confidence_fit import ConfidenceFit
 from edge.samples import measuring_source
 from runtime.contracts.confidence import read_confidence
 from runtime.refinement import FEATURES
@@ -45,6 +47,17 @@ def test_what_cannot_be_learned(tiny_model: Path, tiny_drive: Path, tmp_path: Pa
     assert code == 2 and "boxes of Cyclist, expected at least 50" in told
     code, told = confidence(MODEL, "--source", f"{measuring_source()}?limit=1", "--out", out)
     assert code == 2 and "expected at least 50" in told
+    assert not out.exists()
+
+
+def test_a_class_that_learns_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def learned_badly(*given: object) -> ConfidenceFit:
+        return ConfidenceFit(str(given[-1]), (0.0,) * (len(FEATURES) + 1), 100, 50, 0.3, 0.3)
+
+    monkeypatch.setattr(confidence_fit, "fit_confidence", learned_badly)
+    out = tmp_path / "confidence.json"
+    code, told = confidence(MODEL, "--source", f"{measuring_source()}?limit=1", "--out", out)
+    assert code == 2 and "Car keeps the network's score" in told and "found no class" in told
     assert not out.exists()
 
 
