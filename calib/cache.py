@@ -12,6 +12,7 @@ import hashlib
 import os
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -65,6 +66,10 @@ def cache_key(
     return digest.hexdigest()
 
 
+UNREADABLE = (OSError, KeyError, ValueError, IndexError, TypeError, EOFError, zipfile.BadZipFile, zlib.error)
+"""What reading a damaged archive of arrays may raise."""
+
+
 def load(key: str, folder: Path | None = None) -> Observation | None:
     """The observation of this key, or None where there is none or its file is damaged."""
     path = (folder or cache_folder()) / f"{key}.npz"
@@ -87,7 +92,7 @@ def load(key: str, folder: Path | None = None) -> Observation | None:
                 for index, name in enumerate(names)
             }
             return Observation(tensors, channels, int(archive["frames"]))
-    except (OSError, KeyError, ValueError, IndexError, TypeError, EOFError, zipfile.BadZipFile):
+    except UNREADABLE:
         return None
 
 

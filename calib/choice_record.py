@@ -56,7 +56,7 @@ def parse_choice(text: str, *, where: str = CALIBRATION_FILE) -> CalibrationSet:
         where: What an error calls it.
 
     Raises:
-        FormatError: This is no record of a choice, or it lists no frames.
+        FormatError: This is no record of a choice.
     """
     try:
         content = json.loads(text)
@@ -73,7 +73,7 @@ def parse_choice(text: str, *, where: str = CALIBRATION_FILE) -> CalibrationSet:
             method=str(content.get("method", "")),
             coverage=_coverage(content.get("coverage")),
         )
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, OverflowError, KeyError, TypeError, AttributeError) as error:
         raise FormatError(
             f"{where}: found no record of calibration frames ({type(error).__name__}: {error}); expected "
             "what `edge quantize` writes; quantise the model again"

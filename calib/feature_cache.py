@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import zipfile
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -11,7 +10,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.cache import cache_folder, write_arrays
+from calib.cache import UNREADABLE, cache_folder, write_arrays
 
 _KEPT_ROWS = 8192
 
@@ -55,7 +54,7 @@ class FeatureCache:
                     names, rows = archive["names"], archive["rows"].astype(self._number)
                     if rows.ndim == 2 and np.isfinite(rows).all():
                         self._rows = {str(name): row for name, row in zip(names, rows, strict=True)}
-            except (OSError, KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile):
+            except UNREADABLE:
                 self._rows = {}
         return self
 

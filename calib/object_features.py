@@ -14,6 +14,8 @@ from runtime.contracts.objects import Detections3D, Objects3D
 
 NAMED_CLASSES = ("Car", "Pedestrian", "Cyclist")
 """Told apart; all others count together."""
+METHOD = "objects-1"
+"""Name of these numbers; another one whenever they change, so that remembered rows are not mixed."""
 _BAND_EDGES_M = (0.0, 15.0, 30.0, 50.0, np.inf)
 _NEAREST_M = 2.0  # nearer objects are as near as can be
 

@@ -11,7 +11,8 @@ from runtime.contracts.frame import StereoFrame
 
 NEAR_FRAMES = 10
 """A second at camera rate: what is seen then is the same street with the same cars."""
-_NUMBERED = re.compile(r"(?P<drive>.+)/(?P<number>\d+)")
+_NUMBERED_IN_DRIVE = re.compile(r"(?P<drive>.+)/(?P<number>\d+)")
+_NUMBERED = re.compile(r"(?:(?P<drive>.+)/)?(?P<number>\d+)")
 
 
 def overlap(
@@ -34,24 +35,27 @@ def overlap(
     return tuple(frame.frame_id for frame in seen if frame.pixels in known)
 
 
-def neighbours(calibration: CalibrationSet, frame_ids: Iterable[str], *, near: int = NEAR_FRAMES) -> tuple[str, ...]:
+def neighbours(
+    calibration: CalibrationSet, frame_ids: Iterable[str], *, near: int = NEAR_FRAMES, one_drive: bool = False
+) -> tuple[str, ...]:
     """Ids ``drive/number`` within ``near`` frames of a calibration frame of the same drive, itself included.
-
-    Numbers without a drive say nothing: KITTI's object frames are shuffled.
 
     Args:
         calibration: The choice.
         frame_ids: Of the same recording.
         near: How many frames away counts as a neighbour.
+        one_drive: Numbers without a drive are of one drive; else they say nothing, as KITTI's object frames are
+            shuffled.
     """
-    numbers: dict[str, list[int]] = {}
+    named_frame = _NUMBERED if one_drive else _NUMBERED_IN_DRIVE
+    numbers: dict[str | None, list[int]] = {}
     for frame in calibration.frames:
-        named = _NUMBERED.fullmatch(frame.frame_id)
+        named = named_frame.fullmatch(frame.frame_id)
         if named is not None:
             numbers.setdefault(named["drive"], []).append(int(named["number"]))
     found = []
     for frame_id in frame_ids:
-        named = _NUMBERED.fullmatch(frame_id)
+        named = named_frame.fullmatch(frame_id)
         if named is None:
             continue
         if any(abs(int(named["number"]) - number) <= near for number in numbers.get(named["drive"], ())):

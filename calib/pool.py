@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from calib import object_features, scene_features
@@ -25,6 +26,8 @@ POOL_FACTOR, POOL_LEAST, POOL_MOST = 3, 60, 300
 
 LABELS, FOUND = "labels", "found by the float model"
 """Where objects come from, as records say it."""
+
+_SCENE_ROWS = f"{scene_features.METHOD}, OpenCV {cv2.__version__}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,10 +86,10 @@ def look_at(
     rows, object_rows = [], []
     with ExitStack() as stack:
         hashes = stack.enter_context(FrameHashes(source, enabled=use_cache))
-        scenes = stack.enter_context(FeatureCache(scene_features.METHOD, enabled=use_cache))
+        scenes = stack.enter_context(FeatureCache(_SCENE_ROWS, enabled=use_cache))
         found = None
         if finder is not None:
-            found = stack.enter_context(FeatureCache(f"{scene_features.METHOD} {finder.identity}", enabled=use_cache))
+            found = stack.enter_context(FeatureCache(f"{object_features.METHOD} {finder.identity}", enabled=use_cache))
 
         def objects_row(frame: StereoFrame) -> Row:
             assert finder is not None

@@ -11,8 +11,10 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import onnx
+import onnxruntime
 
 from calib.cache import cache_key, load, store
 from calib.choice import DEFAULT_METHOD, Choice, choose
@@ -239,13 +241,14 @@ def run_key(
 ) -> str:
     """Hash of all that a run over frames depends on."""
     manifest = prepared.source.manifest
+    camera_view = (manifest.crop, manifest.input_size_hw, manifest.input_type, manifest.normalisation, manifest.rig)
     return cache_key(
         model.SerializeToString(deterministic=True),
         frames.digest,
         geometry_digest=frames.geometry_digest,
         tensors=tensors,
         channel_tensors=channel_tensors,
-        view=repr((manifest.crop, manifest.input_size_hw, manifest.input_type, manifest.normalisation, manifest.rig)),
+        view=repr((*camera_view, f"ONNX Runtime {onnxruntime.__version__}", f"OpenCV {cv2.__version__}")),
     )
 
 

@@ -96,7 +96,7 @@ def settled_ranges(
         return RangeSearch(observation.ranges(method), method, None, None, 0)
     few = calibration.frames.first(SEARCH_FRAMES)
     plain = build(prepared, observation, observation.ranges(next(iter(METHODS)))).model
-    settings = (SEARCH, _WAY, f"{MOST_MULTIPLY_ADDS:g}", calibration.frames.digest)
+    settings = (SEARCH, _WAY, f"{MOST_MULTIPLY_ADDS:g}", calibration.frames.digest, calibration.frames.geometry_digest)
     key = run_key(prepared, plain, few, tensors=settings)
     known = load(key) if use_cache else None
     if known is None:

@@ -68,8 +68,9 @@ def flatten_volumes(model: onnx.ModelProto) -> VolumeFlattening:
             nodes += _flattened(work.graph, node, relu, index=index, shapes=shapes, flat=flat)
             moved |= set() if relu is None else {relu.name}
         else:
-            if node.op_type == "Reshape" and shapes.get(node.output[0]) == shapes.get(flat.get(node.input[0], "")):
-                node.input[0] = flat[node.input[0]]
+            same = flat.get(node.input[0]) if node.op_type == "Reshape" else None
+            if same is not None and shapes.get(same, ()) == shapes.get(node.output[0]):
+                node.input[0] = same
             nodes.append(node)
     copies = [onnx.NodeProto.FromString(node.SerializeToString()) for node in nodes]
     del work.graph.node[:]

@@ -59,6 +59,11 @@ def check_place(out: Path) -> None:
         OutputError: ``out`` holds what is not to be replaced, or lies where nothing can be written.
     """
     _refuse_foreign(out)
+    if out.is_mount() or out.resolve() == Path.cwd():
+        raise OutputError(
+            f"{out}: found a mount point or the folder that this runs in; expected one that can be renamed, since a "
+            "finished model takes its place in one step; choose another --out, for example a folder within it"
+        )
     nearest = next((folder for folder in out.absolute().parents if folder.exists()), None)
     if nearest is None or not nearest.is_dir() or not os.access(nearest, os.W_OK | os.X_OK):
         raise OutputError(

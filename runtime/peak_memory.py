@@ -8,6 +8,7 @@ resident memory that it ever had (``VmHWM`` of Linux), and what it had before th
 from __future__ import annotations
 
 import io
+import math
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -60,7 +61,7 @@ def peak_memory(model: Path | str, frame: StereoFrame) -> PeakMemory | None:
         peak, before = (float(word) for word in done.stdout.split())
     except (OSError, subprocess.SubprocessError, ValueError):
         return None
-    return PeakMemory(peak, before)
+    return PeakMemory(peak, before) if math.isfinite(peak + before) else None
 
 
 def status_mib(key: str) -> float:

@@ -11,6 +11,9 @@ from edge.cli.stages import warn
 if TYPE_CHECKING:
     from calib.frames import CalibrationSet
 
+_OF_ONE_DRIVE = ("kitti-raw:", "video:")
+"""Sources whose frames are bare numbers, one after another."""
+
 
 def refuse_overlap(chosen: CalibrationSet, validation: str, *, allow: bool, use_cache: bool) -> None:
     """Compares the pixels of calibration and validation frames before minutes go by.
@@ -80,7 +83,8 @@ def _warn_of_neighbours(chosen: CalibrationSet, source: Any, *, name: str, tell:
 
     if chosen.source.partition("?")[0] != name.partition("?")[0]:
         return  # the same numbers of another recording
-    near = neighbours(chosen, (source.frame_id(index) for index in range(len(source))))
+    frame_ids = (source.frame_id(index) for index in range(len(source)))
+    near = neighbours(chosen, frame_ids, one_drive=chosen.source.startswith(_OF_ONE_DRIVE))
     if near:
         tell(
             f"{len(near)} of the measured frames lie within {NEAR_FRAMES} frames of one that calibrates, in the same "

@@ -28,13 +28,13 @@ def confidence_command(
     from edge.evaluation.confidence_fit import TooFewBoxesError, fit_confidence
     from edge.report.terminal import progress_bar, report_console
     from runtime.contracts.confidence import ConfidenceRecord, write_confidence
-    from runtime.contracts.errors import EdgeError, OutputError, SourceError
+    from runtime.contracts.errors import EdgeError, SourceError
     from runtime.contracts.manifest import MODEL_FILE
     from runtime.detector import open_detector
+    from runtime.sinks.places import claim_file
     from runtime.sources.factory import open_sequence
 
-    if out.exists() and not overwrite:
-        raise OutputError(f"{out} is there already, expected a new file; choose another --out or add --overwrite")
+    claim_file(out, overwrite=overwrite)
     found, labels, widths = [], [], []
     with open_detector(model, allow_other_rig=allow_other_rig, warn=warn) as detector:
         known = detector.manifest.classes

@@ -21,13 +21,12 @@ def priors_command(
     from edge.detector.presets import preset as find_preset
     from edge.training.labelled_views import labelled_views
     from edge.training.priors import anchor_statistics
-    from runtime.contracts.errors import OutputError
     from runtime.contracts.manifest import write_priors
+    from runtime.sinks.places import claim_file
     from runtime.sources.factory import open_sequence
 
     chosen = find_preset(preset)
-    if out.exists() and not overwrite:
-        raise OutputError(f"{out} is there already, expected a new file; choose another --out or add --overwrite")
+    claim_file(out, overwrite=overwrite)
     console = Console(stderr=True)
     frames = []
     for uri in dataset:
@@ -39,7 +38,6 @@ def priors_command(
         chosen.anchors,
         input_size_hw=chosen.input_size_hw,
     )
-    out.parent.mkdir(parents=True, exist_ok=True)
     beside = out.with_name(out.name + ".part")
     write_priors(beside, chosen.classes, tables)
     beside.replace(out)

@@ -71,6 +71,8 @@ def write_curve_of(
     import tempfile
 
     from calib.choice import Choice, choose_from
+    from calib.coverage import score
+    from calib.frames import say_nothing
     from edge.cli.calibration_overlap import warn_of_overlap
     from edge.evaluation.measure import assess, measurement
     from edge.evaluation.run import run_model
@@ -111,19 +113,19 @@ def write_curve_of(
             )
             for done, (count, calibrated) in enumerate(sorted(seen.items())):
                 ranges = calibrated.observation.ranges(method)
-                few = choose_from(pool, frames, count, name=public_name(calibration), method=way)
+                few = whole.chosen.first(count)
                 adjusted = adjust(
                     prepared,
                     calibrated,
                     ranges,
-                    Choice(whole.chosen.first(count), whole.source),
+                    Choice(few, whole.source),
                     use_cache=False,
                     allow_other_rig=allow_other_rig,
                 )
                 graph = build_adjusted(prepared, calibrated, ranges, adjusted)
                 written = write_directory(prepared, graph, calibrated, Path(made) / f"{way}-{count}", method=method)
-                run = run_model(written.path, source, allow_other_rig=allow_other_rig)
-                coverage = 0.0 if few.chosen.coverage is None else few.chosen.coverage.score
+                run = run_model(written.path, source, allow_other_rig=allow_other_rig, warn=say_nothing)
+                coverage = score(pool.between, [pool.frames.index(frame) for frame in few.frames])
                 points.append(_point(way, count, coverage, before, measurement(assess(run), reference)))
                 progress(f"measuring the curve, {way}", done + 1, len(seen))
     drawn = write_curve(

@@ -93,9 +93,7 @@ def report(
     measurements: list[Measurement] = []
     name = "none"
     try:
-        uri = validation or measuring_source()
-        if validation is None:
-            uri = f"{uri}{'&' if '?' in uri else '?'}limit={REPORT_FRAMES}"
+        uri = validation or f"{measuring_source()}?limit={REPORT_FRAMES}"
         name = public_name(uri)
         with open_sequence(uri) as source:
             if validation is None:
@@ -117,6 +115,7 @@ def report(
     except EdgeError as error:
         if validation is not None:
             raise
+        facts["no measurements"] = str(error)
         warn(f"the report has no measurements: {error}")
     record = QuantisationRecord(
         facts=facts,

@@ -36,7 +36,7 @@ def search_in_budget(
     import tempfile
     from functools import partial
 
-    from calib.frames import frame_feeds, spread_frames
+    from calib.frames import frame_feeds, say_nothing, spread_frames
     from edge.evaluation.measure import assess, measure, measurement
     from edge.evaluation.run import run_model
     from quantize.budget import ap_drop_points, disagreement_points, search_budget
@@ -71,7 +71,7 @@ def search_in_budget(
 
             return search_budget(
                 {way: partial(build, write) for way, write in writes.items()},
-                lambda place: measure(place, source, reference, allow_other_rig=allow_other_rig),
+                lambda place: measure(place, source, reference, allow_other_rig=allow_other_rig, warn=say_nothing),
                 drop_points=(lambda after: ap_drop_points(before, after)) if labelled else disagreement_points,
                 ranking=rank,
                 max_drop=max_drop,

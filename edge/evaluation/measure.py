@@ -6,6 +6,7 @@ compare many models with one reference.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -98,6 +99,7 @@ def measure(
     reference: Assessment | None = None,
     *,
     allow_other_rig: bool = False,
+    warn: Callable[[str], None] | None = None,
 ) -> Measurement:
     """Run a model over a source and measure it.
 
@@ -106,10 +108,11 @@ def measure(
         source: an entered source, or the URI of one.
         reference: what to compare with, from ``assess(run_model(...))`` on the same source.
         allow_other_rig: accept cameras far from those of the training data.
+        warn: is told, once, that a camera differs.
 
     Raises:
         EdgeError: as `run_model` and `measurement`.
     """
     with open_source(source) if isinstance(source, str) else nullcontext(source) as frames:
-        run = run_model(model_path, frames, allow_other_rig=allow_other_rig)
+        run = run_model(model_path, frames, allow_other_rig=allow_other_rig, warn=warn)
     return measurement(assess(run), reference)

@@ -10,6 +10,7 @@ from edge.report.markdown import markdown_table
 from edge.report.rows import Table, agreement_table, ap_table, drop_table, latency_table
 from runtime.contracts.measurement import Measurement
 
+NOT_MEASURED = "Nothing was measured: there are no figures of accuracy here."
 NO_LABELS = (
     "The source has no labels: there is no AP here, only how far the models agree with each other. "
     "Agreement with a reference says nothing about how right the reference is."
@@ -103,7 +104,8 @@ def report_text(
         lines.append(f"- frames: {measurements[0].frames}")
     lines += [f"- {name}: {value}" for name, value in (facts or {}).items()]
     labelled = any(item.ap for item in measurements)
-    lines += ["", ABOUT_INTERVALS if labelled else NO_LABELS, ""]
+    about = (ABOUT_INTERVALS if labelled else NO_LABELS) if measurements else NOT_MEASURED
+    lines += ["", about, ""]
     text = "\n".join(lines) + "\n"
     text += "".join(markdown_table(table) for table in report_tables(measurements, depth_errors=depth_errors))
     if pictures:

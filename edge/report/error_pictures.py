@@ -132,6 +132,7 @@ def cut_around(box: NDArray[np.float64], size_wh: tuple[int, int]) -> tuple[int,
     wanted = max(MIN_CUT_PX, ROOM * float(box[2] - box[0]), ROOM * float(box[3] - box[1]) * shape)
     height = min(round(wanted / shape), size_wh[1])
     width = min(round(height * shape), size_wh[0])
+    height = min(height, round(width / shape))
     left, top = (
         round(min(max(float(box[axis] + box[axis + 2]) / 2 - length / 2, 0), whole - length))
         for axis, length, whole in ((0, width, size_wh[0]), (1, height, size_wh[1]))

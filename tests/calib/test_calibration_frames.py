@@ -147,3 +147,10 @@ def test_frames_next_to_calibrating_ones_are_found_by_name(frame_id, near) -> No
     image = frame(1).left
     chosen = choice([StereoFrame(image, image, 0.0, 0, "0003/000050", GEOMETRY)], 1).chosen
     assert neighbours(chosen, ["0003/000000", frame_id]) == ((frame_id,) if near else ())
+
+
+def test_bare_numbers_of_one_drive_are_neighbours() -> None:
+    image = frame(1).left
+    chosen = choice([StereoFrame(image, image, 0.0, 0, "000050", GEOMETRY)], 1).chosen
+    assert neighbours(chosen, ["000041", "000061"], one_drive=True) == ("000041",)
+    assert neighbours(chosen, ["000041"]) == ()

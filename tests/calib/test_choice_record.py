@@ -42,7 +42,12 @@ def test_a_newer_or_shorter_file_still_tells_its_frames() -> None:
     assert (frame.frame_id, frame.pixels, frame.index) == ("000001", "ab", -1)
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{}", "null", '{"frames": 5}', '{"frames": [{"pixels": "ab"}]}', "\x00"])
+HUGE = '{"frames": [{"frame_id": "a", "pixels": "ab", "index": 1e999}]}'
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{}", "null", '{"frames": 5}', '{"frames": [{"pixels": "ab"}]}', "\x00", HUGE]
+)
 def test_a_damaged_file_is_one_clear_error(text) -> None:
     with pytest.raises(FormatError, match=r"calibration\.json: found no record") as raised:
         parse_choice(text)

@@ -128,9 +128,12 @@ def test_a_damaged_cache_counts_as_absent(cache_home) -> None:
         np.testing.assert_array_equal(cache.get("a", size=3), np.ones(3, np.float32))
         assert cache.get("a", size=4) is None
         assert cache.get("b", size=3) is None
-    path.write_bytes(path.read_bytes()[:40])
-    with FeatureCache("toy") as cache:
-        assert cache.get("a", size=3) is None
+    whole = path.read_bytes()
+    torn = whole[:64] + bytes(255 - byte for byte in whole[64:96]) + whole[96:]  # within the first packed array
+    for damage in (whole[:40], torn):
+        path.write_bytes(damage)
+        with FeatureCache("toy") as cache:
+            assert cache.get("a", size=3) is None
 
 
 def test_the_choice_covers_better_than_even_spread_and_repeats() -> None:

@@ -87,7 +87,9 @@ def test_the_cache_gives_back_what_it_took(model, feeds, tmp_path: Path) -> None
     np.testing.assert_array_equal(again.channels["y"][0], seen.channels["y"][0])
     assert [path.name for path in tmp_path.iterdir()] == ["key.npz"]
     assert place is not None
-    for damage in (b"", b"PK\x03\x04 and no more", place.read_bytes()[:-200]):
+    whole = place.read_bytes()
+    torn = whole[:64] + bytes(255 - byte for byte in whole[64:96]) + whole[96:]  # within the first packed array
+    for damage in (b"", b"PK\x03\x04 and no more", whole[:-200], torn):
         place.write_bytes(damage)
         assert load("key", tmp_path) is None
 

@@ -194,6 +194,17 @@ def test_the_checks_alone(tiny_drive: Path, tmp_path: Path) -> None:
             check_place(locked / "int8")
 
 
+def test_a_place_that_cannot_be_renamed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for place in (Path(), tmp_path):
+        with pytest.raises(OutputError, match="the folder that this runs in"):
+            check_place(place)
+    (tmp_path / "mounted").mkdir()
+    monkeypatch.setattr(Path, "is_mount", lambda path: path.name == "mounted")
+    with pytest.raises(OutputError, match="a folder within it"):
+        check_place(tmp_path / "mounted")
+
+
 def test_a_budget_that_cannot_be_met_keeps_and_names_the_best(
     toy_directory: Path, tiny_drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +40,12 @@ def test_what_cannot_be_run_has_none(tiny_model: Path, tmp_path: Path) -> None:
 
 def test_a_system_that_does_not_tell(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, tiny_model: Path) -> None:
     monkeypatch.setattr(module, "STATUS", tmp_path / "none")
+    assert peak_memory(tiny_model, frame()) is None
+
+
+def test_a_system_that_tells_other_sizes(monkeypatch: pytest.MonkeyPatch, tiny_model: Path) -> None:
+    told = subprocess.CompletedProcess([], 0, stdout=b"nan nan\n")
+    monkeypatch.setattr(subprocess, "run", lambda *words, **options: told)
     assert peak_memory(tiny_model, frame()) is None
 
 

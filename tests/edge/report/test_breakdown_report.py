@@ -84,6 +84,11 @@ def test_the_case_is_marked_in_its_colour() -> None:
         assert (np.abs(picture.astype(int) - colour).sum(axis=-1) < 60).sum() > 200
 
 
+def test_the_cut_of_a_square_image_has_the_shape_of_its_view() -> None:
+    _, _, width, height = cut_around(np.array([100.0, 50.0, 400.0, 300.0]), (640, 480))
+    assert width == 640 and height == round(640 * VIEW_WH[1] / VIEW_WH[0])
+
+
 def test_the_cut_lies_in_the_image_and_holds_the_box() -> None:
     for box in ([0, 0, 30, 20], [600, 150, 640, 200], [10, 5, 630, 195], [300, 90, 310, 95]):
         left, top, width, height = cut_around(np.array(box, float), SIZE_WH)

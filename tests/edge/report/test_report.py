@@ -10,7 +10,7 @@ import pytest
 
 from edge.evaluation.depth_error import DepthError
 from edge.report.differences import AGREED, LOST, MOVED, NEW, compare_frame, draw_differences, most_different
-from edge.report.document import NO_LABELS, model_names, report_tables, report_text
+from edge.report.document import NO_LABELS, NOT_MEASURED, model_names, report_tables, report_text
 from edge.report.files import write_json
 from edge.report.markdown import markdown_table
 from edge.report.model_report import write_model_report
@@ -75,7 +75,8 @@ def frame() -> StereoFrame:
 def test_nothing_measured_gives_no_table():
     assert report_tables([]) == []
     assert markdown_table(Table("empty", ("a",), ())) == ""
-    assert NO_LABELS in report_text([], title="t", source="images:a,b")
+    text = report_text([], title="t", source="images:a,b")
+    assert NOT_MEASURED in text and NO_LABELS not in text
 
 
 def test_every_ap_stands_with_its_interval_and_number_of_objects():
