@@ -214,7 +214,7 @@ def to_detections(
 
 
 def _to_camera_pixels(boxes: FloatArray32, view: NetworkView) -> FloatArray32:
-    """`NetworkView.to_camera` as the official code computes it: in float32, by reciprocals, from the two cameras."""
+    """The inverse of `NetworkView.to_network` as the official code computes it: in float32, from the two cameras."""
     network, camera = view.geometry.P2.astype(np.float32), view.camera_geometry.P2.astype(np.float32)
     moved = boxes.copy()
     for axis in (0, 1):

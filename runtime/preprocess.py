@@ -39,12 +39,6 @@ class NetworkView:
     camera_geometry: StereoGeometry
     geometry: StereoGeometry
 
-    def to_camera(self, box_in_network_image: FloatArray) -> FloatArray:
-        """Boxes (N, 4) xyxy from network pixels to camera pixels."""
-        shift = np.array([0.0, self.top_row, 0.0, self.top_row])
-        boxes: FloatArray = box_in_network_image / self.scale + shift
-        return boxes
-
     def to_network(self, box_in_camera_image: FloatArray) -> FloatArray:
         """Boxes (N, 4) xyxy from camera pixels to network pixels."""
         shift = np.array([0.0, self.top_row, 0.0, self.top_row])

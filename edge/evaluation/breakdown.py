@@ -26,8 +26,8 @@ from edge.evaluation.outcomes import (
     Target,
     judge,
 )
-from edge.evaluation.rules import CLASS_RULES, ClassRule, Difficulty
-from edge.evaluation.tables import DetectionTable, LabelTable, detection_table, label_table, pair_table
+from edge.evaluation.rules import CLASS_RULES, NOT_ASKED_FOR, ClassRule, Difficulty
+from edge.evaluation.tables import DetectionTable, LabelTable, detection_table, distances_m, label_table, pair_table
 from runtime.contracts.errors import FormatError
 from runtime.contracts.objects import Detections3D, Objects3D
 
@@ -38,7 +38,6 @@ TRUNCATION_EDGES = (0.0, 0.15, 0.30, 0.50, np.inf)
 TRUNCATION_BANDS = ("0-0.15", "0.15-0.30", "0.30-0.50", "0.50+")
 BANDS = {DISTANCE: BAND_NAMES, OCCLUSION: OCCLUSION_BANDS, TRUNCATION: TRUNCATION_BANDS}
 ANY_OBJECT = Difficulty("any", MIN_HEIGHT_PX, LARGELY_OCCLUDED, 1.0)
-_OUTSIDE = 2.0  # a truncation beyond every limit: not asked for
 _NO_CLASS = -1
 
 
@@ -156,7 +155,7 @@ def _ap(evidence: Evidence, rule: ClassRule, kind: str, number: int, *, partner:
     alone = partner < 0
     kept = np.where(alone, _own_distance(found, number) if kind == DISTANCE else True, kept)
     narrowed = Evidence(
-        replace(labels, truncation=np.where(inside, labels.truncation, _OUTSIDE)),
+        replace(labels, truncation=np.where(inside, labels.truncation, NOT_ASKED_FOR)),
         replace(found, class_id=np.where(kept, found.class_id, _NO_CLASS)),
         evidence.pairs,
     )
@@ -166,17 +165,12 @@ def _ap(evidence: Evidence, rule: ClassRule, kind: str, number: int, *, partner:
 
 def _labels_inside(labels: LabelTable, kind: str, number: int) -> np.ndarray:
     if kind == DISTANCE:
-        return _distance_band(_distances_m(labels.solid)) == number
+        return _distance_band(distances_m(labels.solid)) == number
     return (labels.occlusion if kind == OCCLUSION else _truncation_band(labels.truncation)) == number
 
 
 def _own_distance(found: DetectionTable, number: int) -> np.ndarray:
-    return _distance_band(_distances_m(found.solid)) == number
-
-
-def _distances_m(solid: np.ndarray) -> np.ndarray:
-    distances: np.ndarray = np.sqrt(solid[:, 0] ** 2 + solid[:, 1] ** 2 + (0.5 * (solid[:, 5] + solid[:, 6])) ** 2)
-    return distances
+    return _distance_band(distances_m(found.solid)) == number
 
 
 def _row(

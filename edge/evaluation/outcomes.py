@@ -21,6 +21,7 @@ from edge.evaluation.tables import (
     PairTable,
     check_same_frames,
     detection_table,
+    distances_m,
     label_table,
     pair_table,
 )
@@ -132,7 +133,7 @@ def judge(
                     int(truth.frame[label]),
                     int(of_label[label]),
                     rule.name,
-                    _distance_m(truth.solid[label]),
+                    float(distances_m(truth.solid[label])),
                     int(truth.occlusion[label]),
                     float(truth.truncation[label]),
                     _height_px(truth.box_in_left_image[label]),
@@ -150,7 +151,7 @@ def judge(
                         int(of_detection[detection]),
                         rule.name,
                         float(found.score[detection]),
-                        _distance_m(found.solid[detection]),
+                        float(distances_m(found.solid[detection])),
                         _height_px(found.box_in_left_image[detection]),
                         state,
                     )
@@ -243,11 +244,6 @@ def _why_invented(
 def _row_in_frame(frame: np.ndarray) -> np.ndarray:
     """Index of each row within its frame; frames are in order."""
     return np.arange(len(frame)) - np.searchsorted(frame, frame, side="left")
-
-
-def _distance_m(solid: np.ndarray) -> float:
-    """From the camera over the ground and up: x, z and the middle of top and bottom."""
-    return float(np.linalg.norm([solid[0], solid[1], 0.5 * (solid[5] + solid[6])]))
 
 
 def _height_px(box: np.ndarray) -> float:

@@ -14,6 +14,9 @@ Metric = Literal["2d", "bev", "3d"]
 METRICS: tuple[Metric, ...] = ("2d", "bev", "3d")
 RECALL_POINTS = 41
 
+NOT_ASKED_FOR = 2.0
+"""A truncation beyond every difficulty's limit: whatever finds such an object is neither right nor wrong."""
+
 
 @dataclass(frozen=True, slots=True)
 class Difficulty:

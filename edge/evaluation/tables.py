@@ -185,6 +185,13 @@ def solid_overlap(first: FloatArray, second: FloatArray) -> tuple[FloatArray, Fl
     return bev, np.divide(volume, whole, out=np.zeros_like(volume), where=volume > 0)
 
 
+def distances_m(solid: FloatArray) -> FloatArray:
+    """From the camera to the middle of solids, rows as in `LabelTable.solid`: (..., 7) to (...)."""
+    height = 0.5 * (solid[..., 5] + solid[..., 6])
+    distances: FloatArray = np.sqrt(solid[..., 0] ** 2 + solid[..., 1] ** 2 + height**2)
+    return distances
+
+
 def check_same_frames(labels: Sequence[Objects3D], detections: Sequence[Detections3D]) -> None:
     """Labels and detections must be records of the same frames, one each.
 

@@ -22,6 +22,8 @@ DONT_CARE = "DontCare"
 MISSING_ALPHA_RAD = -10.0
 _LABEL_FIELDS = 15
 _TRACKING_PERSON = re.compile(r"^(\s*\d+\s+-?\d+)\s+Person\s+")  # the tracking set's name for Person_sitting
+_TRACKING_TRUNCATION = re.compile(r"^(\s*\d+\s+-?\d+\s+\S+\s+)([12])\s+")
+_SHARE_OF_LEVEL = {"1": "0.3", "2": "0.8"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +65,11 @@ def parse_labels(text: str, *, where: str = "label text") -> Objects3D:
 
 
 def parse_tracking_labels(text: str, *, where: str = "tracking labels") -> dict[int, Objects3D]:
-    """Read a tracking label file: frame number to its objects; frames without a line are absent."""
+    """Read a tracking label file: frame number to its objects; frames without a line are absent.
+
+    KITTI's own files give truncation by levels instead of a share: 0, 1 (partly) and 2 (largely). Level 1 is read as
+    0.3, which is asked for from moderate on, level 2 as 0.8, which is not; numbers with a point are shares.
+    """
     by_frame: dict[int, list[str]] = {}
     for number, line in enumerate(text.splitlines(), start=1):
         words = line.split(maxsplit=1)
@@ -73,13 +79,17 @@ def parse_tracking_labels(text: str, *, where: str = "tracking labels") -> dict[
             raise FormatError(f"{where} line {number} starts with {words[0]!r}, expected a frame number; mend the file")
         by_frame.setdefault(int(words[0]), []).append(line)
     by_frame = {
-        frame: [_TRACKING_PERSON.sub(r"\1 Person_sitting ", line) for line in lines]
+        frame: [_TRACKING_TRUNCATION.sub(_share, _TRACKING_PERSON.sub(r"\1 Person_sitting ", line)) for line in lines]
         for frame, lines in by_frame.items()
     }
     return {
         frame: _objects(_parse_rows(lines, where=f"{where} frame {frame}", lead=2, with_score=False), where)
         for frame, lines in by_frame.items()
     }
+
+
+def _share(level: re.Match[str]) -> str:
+    return f"{level[1]}{_SHARE_OF_LEVEL[level[2]]} "
 
 
 def _objects(rows: Sequence[_Row], where: str) -> Objects3D:

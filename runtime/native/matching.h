@@ -21,7 +21,6 @@ struct MatchSamples {
   const float* weight;         // [R, stride] 1, or 0 where a sample does not count
   const float* strips;         // [R, strip_width] the right view along each row of samples
   int64_t strip_width;         // at least 2
-  float strip_left;            // image column of a strip's first value
   float focal_baseline;        // pixels times metres
   float saturation;            // difference from which on a sample counts as not matching
   int64_t row_patch_count;

@@ -124,7 +124,7 @@ class FrameSequence(ABC):
             frame = self[index]
             if self.options.rate is not None:
                 if before_secs is not None:
-                    due_secs += self._interval_secs(before_secs, frame.timestamp_secs)
+                    due_secs = max(due_secs + self._interval_secs(before_secs, frame.timestamp_secs), time.monotonic())
                 time.sleep(max(0.0, due_secs - time.monotonic()))
                 before_secs = frame.timestamp_secs
             yield frame

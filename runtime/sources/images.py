@@ -98,6 +98,13 @@ def _couple(lefts: list[Path], rights: list[Path], *, uri: str) -> list[tuple[Pa
                 f"{uri}: found {len(lefts)} left and {len(rights)} right images without common names, "
                 "expected equal names or equal counts; check the patterns"
             )
+        if left_stems & by_stem.keys():
+            for left, right in zip(lefts, rights, strict=True):
+                if left.stem != right.stem:
+                    raise FrameError(
+                        f"frame {left.stem}: found {left} beside {right} in sorted order, expected equal names; add "
+                        "what is missing or narrow the patterns"
+                    )
         return list(zip(lefts, rights, strict=True))
     lonely = sorted(left_stems ^ by_stem.keys())
     if lonely:

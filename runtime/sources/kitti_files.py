@@ -74,7 +74,7 @@ def read_seconds(path: Path) -> list[float] | None:
     if not path.is_file():
         return None
     seconds = []
-    for number, line in enumerate(path.read_text(encoding="utf-8").split("\n"), start=1):
+    for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").split("\n"), start=1):
         if not line.strip():
             continue
         try:

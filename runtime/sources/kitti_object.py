@@ -68,7 +68,7 @@ def read_split(folder: Path, name: str, *, uri: str) -> list[str]:
     if not path.is_file():
         found = ", ".join(sorted(own_lists or BUNDLED_SPLITS))
         raise SourceError(f"{uri}: found no split {name!r} in {folder}, expected one of: {found}; choose one")
-    stems = path.read_text(encoding="utf-8").split()
+    stems = path.read_text(encoding="utf-8", errors="replace").split()
     if not stems:
         raise SourceError(f"{uri}: the split {path} is empty, expected one frame name a line; fill it")
     return stems
@@ -87,4 +87,8 @@ class _LabelFiles:
 
     def __call__(self, pair: PairFiles) -> Objects3D | None:
         path = self._folder / f"{pair.frame_id}.txt"
-        return parse_labels(path.read_text(encoding="utf-8"), where=str(path)) if path.is_file() else None
+        return (
+            parse_labels(path.read_text(encoding="utf-8", errors="replace"), where=str(path))
+            if path.is_file()
+            else None
+        )

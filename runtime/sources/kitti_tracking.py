@@ -56,7 +56,9 @@ class _LabelTables:
         if sequence not in self._tables:
             path = self._folder / f"{sequence}.txt"
             self._tables[sequence] = (
-                parse_tracking_labels(path.read_text(encoding="utf-8"), where=str(path)) if path.is_file() else None
+                parse_tracking_labels(path.read_text(encoding="utf-8", errors="replace"), where=str(path))
+                if path.is_file()
+                else None
             )
         table = self._tables[sequence]
         return None if table is None else table.get(int(stem), Objects3D.empty(KITTI_CLASSES))

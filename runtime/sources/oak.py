@@ -164,10 +164,10 @@ def build_pairing(pipeline: Any, left: Any, right: Any, *, fps: float, on_host: 
 def frames_from_queue(
     queue: Any, *, geometry: StereoGeometry, fps: float, views: str, uri: str
 ) -> Iterator[StereoFrame]:
-    """Frames of a pairing queue until it is closed.
+    """Frames of a pairing queue, until nobody asks for more.
 
     Raises:
-        SourceError: nothing came for `SILENCE_SECS`.
+        SourceError: nothing came for `SILENCE_SECS`, or the queue was closed, as depthai does with a lost camera.
         FrameError: a pair does not fit together or the geometry.
     """
     depthai = import_depthai()
@@ -175,7 +175,9 @@ def frames_from_queue(
         try:
             group = queue.get(timeout=timedelta(seconds=SILENCE_SECS))
         except depthai.MessageQueue.QueueException:
-            return
+            raise SourceError(
+                f"{uri}: the camera was lost, expected {fps:g} pairs a second; check the cable and the power supply"
+            ) from None
         if group is None:
             raise SourceError(
                 f"{uri}: the camera sent nothing for {SILENCE_SECS:.0f} s, expected {fps:g} pairs a second; "

@@ -6,6 +6,7 @@ Two files are read in step, frame n with frame n. With ``views=left`` one file i
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 
 import cv2
@@ -23,6 +24,8 @@ from runtime.sources.uri import SourceOptions, SourceUri
 
 OPTIONS = ("geometry", "layout")
 SIDE_BY_SIDE = "side-by-side"
+_UNCOUNTED = (".webm", ".mkv")
+"""Kinds that do not say how many frames they hold; OpenCV would guess from the length in seconds."""
 
 
 def open_video(uri: SourceUri, options: SourceOptions) -> VideoPairs:
@@ -101,7 +104,7 @@ def _halves(image: NDArray[np.uint8], *, frame_id: str) -> list[NDArray[np.uint8
 
 
 class _Reader:
-    """One video file, read forwards."""
+    """One video file, read forwards; another thread may close it, which ends a reading within a frame."""
 
     def __init__(self, path: Path, *, uri: str) -> None:
         if not path.is_file():
@@ -109,29 +112,54 @@ class _Reader:
         self._path = path
         with quiet_opencv():
             self._capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
-        self.count = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)) if self._capture.isOpened() else 0
+        self._lock = threading.Lock()
+        self._next = 0
+        self.count = self._count_frames() if self._capture.isOpened() else 0
         if self.count < 1:
             self.close()
             raise SourceError(f"{uri}: {path} is no video that can be read, expected MP4, AVI or WebM; convert it")
         self.hz = float(self._capture.get(cv2.CAP_PROP_FPS)) or DEFAULT_CAMERA_HZ
-        self._next = 0
 
     def read(self, row: int, *, frame_id: str) -> NDArray[np.uint8]:
         if row < self._next:
-            self._capture.release()
-            self._capture.open(str(self._path), cv2.CAP_FFMPEG)
-            self._next = 0
-        while self._next < row and self._capture.grab():
-            self._next += 1
-        good, image = self._capture.read() if self._next == row else (False, None)
-        if not good or image is None:
+            self._rewind()
+        while self._next <= row and self._grab():
+            pass
+        image = self._grabbed() if self._next == row + 1 else None
+        if image is None:
             raise FrameError(
                 f"frame {frame_id}: {self._path} ends at frame {self._next}, expected {self.count}; "
                 "the file is cut short: copy it again or set limit"
             )
-        self._next += 1
         pixels: NDArray[np.uint8] = image.astype(np.uint8, copy=False)
         return pixels
 
     def close(self) -> None:
-        self._capture.release()
+        with self._lock:
+            self._capture.release()
+
+    def _count_frames(self) -> int:
+        if self._path.suffix.lower() not in _UNCOUNTED:
+            return int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        while self._grab():
+            pass
+        count = self._next
+        self._rewind()
+        return count
+
+    def _rewind(self) -> None:
+        with self._lock:
+            if self._capture.isOpened():
+                self._capture.open(str(self._path), cv2.CAP_FFMPEG)
+        self._next = 0
+
+    def _grab(self) -> bool:
+        with self._lock:
+            good = self._capture.grab()
+        self._next += good
+        return good
+
+    def _grabbed(self) -> cv2.typing.MatLike | None:
+        with self._lock:
+            good, image = self._capture.retrieve()
+        return image if good else None

@@ -59,6 +59,13 @@ def test_tracking_labels_round_trip() -> None:
     assert again[2].track_id[0] == 9
 
 
+@pytest.mark.parametrize(("word", "share"), [("0", 0.0), ("1", 0.3), ("2", 0.8), ("0.25", 0.25), ("1.00", 1.0)])
+def test_tracking_labels_give_levels_of_truncation(word: str, share: float) -> None:
+    kind, _, rest = LINE.split(" ", 2)
+    frame = parse_tracking_labels(f"0 7 {kind} {word} {rest}\n")[0]
+    assert frame.truncation.tolist() == [share]
+
+
 def test_tracking_labels_call_a_sitting_person_person() -> None:
     frame = parse_tracking_labels(f"3 1 {LINE.replace('Car', 'Person')}\n")[3]
     assert frame.class_names[frame.class_id[0]] == "Person_sitting"

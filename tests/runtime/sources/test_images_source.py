@@ -76,6 +76,12 @@ def test_equal_names_in_many_folders_pair_by_order(folder: Path) -> None:
         assert [source[index].right[0, 0, 0] for index in range(2)] == [1, 2]  # type: ignore[index]
 
 
+def test_names_that_repeat_must_agree_in_order(folder: Path) -> None:
+    write(folder, "l/1/a.png", "l/1/b.png", "l/2/a.png", "r/1/a.png", "r/2/a.png", "r/2/b.png")
+    with pytest.raises(FrameError, match=r"l/1/b\.png beside .*r/2/a\.png"):
+        open_source(uri(folder, "l/**/*.png", "r/**/*.png"))
+
+
 def test_one_view(folder: Path) -> None:
     write(folder, "l/a.png")
     with open_source(f"images:{folder}/l?views=left&geometry={folder}/rig.json") as source:

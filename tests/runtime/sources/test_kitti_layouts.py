@@ -192,6 +192,16 @@ def test_rate_paces_and_drops_nothing(rate: str, seconds: float, tiny_drive: Pat
         assert source.arrives_at_camera_pace
 
 
+def test_a_stall_is_not_caught_up(tiny_drive: Path) -> None:
+    with open_source(f"kitti-object:{tiny_drive}?rate=20") as source:
+        times = []
+        for frame in source:
+            times.append(time.monotonic())
+            if frame.sequence == 0:
+                time.sleep(0.2)
+    assert min(np.diff(times)[1:]) > 0.05 - 0.01
+
+
 @pytest.mark.parametrize(
     ("uri", "count", "size_wh"),
     [

@@ -114,7 +114,7 @@ def test_host_pipeline_pairs_by_timestamp(monkeypatch: pytest.MonkeyPatch) -> No
         assert frame.timestamp_secs == pytest.approx(100 + 0.1 * frame.sequence)
 
 
-def test_a_closed_queue_ends_the_stream() -> None:
+def test_a_closed_queue_is_a_lost_camera() -> None:
     depthai = pytest.importorskip("depthai")
 
     class Closed:
@@ -122,7 +122,8 @@ def test_a_closed_queue_ends_the_stream() -> None:
             raise depthai.MessageQueue.QueueException
 
     frames = oak.frames_from_queue(Closed(), geometry=GEOMETRY, fps=10, views="both", uri="oak:")
-    assert list(frames) == []
+    with pytest.raises(SourceError, match="camera was lost"):
+        next(frames)
 
 
 def test_a_camera_that_was_not_entered() -> None:

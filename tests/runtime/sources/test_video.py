@@ -83,6 +83,26 @@ def test_unequal_lengths(folder: Path) -> None:
         open_source(f"video:{folder}/l.avi,{folder}/r.avi?geometry={folder}/rig.json")
 
 
+def test_a_container_that_does_not_count_is_counted(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    record(folder / "l.mkv", 7)
+    monkeypatch.setattr(cv2, "CAP_PROP_FRAME_COUNT", cv2.CAP_PROP_FRAME_WIDTH)  # what is told, 64, is wrong
+    uri = f"video:{folder}/l.mkv,{folder}/l.mkv?geometry={folder}/rig.json"
+    with as_sequence(open_source(uri)) as source:
+        assert len(source) == 7
+        assert abs(int(source[6].left[5, 5, 0]) - 120) <= GREY_TOLERANCE
+
+
+def test_closing_ends_a_long_seek(folder: Path) -> None:
+    record(folder / "l.avi", 30)
+    source = open_source(f"video:{folder}/l.avi,{folder}/l.avi?geometry={folder}/rig.json")
+    with as_sequence(source) as frames:
+        frames[0]
+    with pytest.raises(FrameError, match="ends at frame 1"):
+        frames[29]
+    with pytest.raises(FrameError, match="ends at frame 0"):
+        frames[0]
+
+
 def test_a_file_that_is_cut_short(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     record(folder / "l.avi", 30)
     content = (folder / "l.avi").read_bytes()
