@@ -28,14 +28,12 @@ class Rule:
         rooms: dotted prefixes of this project's modules that are allowed.
         packages: the only other packages allowed, the standard library aside; None for any.
         never: packages that are not.
-        exempt: file names that the rule leaves out, with a reason beside them.
     """
 
     folder: str
     rooms: tuple[str, ...]
     packages: frozenset[str] | None = None
     never: frozenset[str] = frozenset()
-    exempt: frozenset[str] = frozenset()
 
 
 RULES = (
@@ -43,8 +41,7 @@ RULES = (
     Rule("runtime", ("runtime",), packages=frozenset({"numpy", "onnxruntime", "cv2", "depthai"})),
     Rule("calib", ("calib", "runtime"), never=TORCH),
     Rule("export", ("export", "runtime")),
-    # learned rounding of weights, where there is such a file, optimises with torch
-    Rule("quantize", ("quantize", "calib", "runtime"), never=TORCH, exempt=frozenset({"learned_rounding.py"})),
+    Rule("quantize", ("quantize", "calib", "runtime"), never=TORCH),
     Rule("edge/evaluation", ("edge.evaluation", "runtime"), never=TORCH | ONNX),
     Rule("edge/detector", ("edge", "export", "runtime"), never=ONNX | {"onnxruntime"}),
     Rule("edge/training", ("edge", "export", "quantize", "calib", "runtime"), never=ONNX | {"onnxruntime"}),
@@ -102,7 +99,7 @@ def test_a_room_imports_only_what_it_may(rule: Rule) -> None:
     found = {
         path.relative_to(REPOSITORY).as_posix(): wrong
         for path in files
-        if path.name not in rule.exempt and (wrong := violations(rule, ast.parse(path.read_text(encoding="utf-8"))))
+        if (wrong := violations(rule, ast.parse(path.read_text(encoding="utf-8"))))
     }
     assert found == {}
 

@@ -13,7 +13,7 @@ import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 MIB = 1 << 20
-# Limits of docs/architecture.md, so that a clone stays quick: all, recordings, weights, models, the rest.
+# So that a clone stays quick: all, recordings, weights, models, the rest.
 LIMITS_MIB = {"all": 40, "recordings": 8, "weights": 16, "models": 10, "rest": 4}
 PACKAGES = ("calib", "edge", "export", "quantize", "runtime")
 PICTURE_SUFFIXES = {".jpg", ".jpeg", ".png", ".webp", ".bmp", ".mp4", ".avi", ".webm"}

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from edge.evaluation.outcomes import SAME_PLACE
 from edge.evaluation.rules import CLASS_RULES
 from edge.evaluation.tables import detection_table, label_table, pair_table
 from runtime.contracts.errors import EdgeError
@@ -53,8 +54,8 @@ def fit_confidence(
 ) -> ConfidenceFit:
     """Learns one class's weights.
 
-    A box counts as right from the class's loosest 3D overlap with a label of its class on. Boxes count by the network's
-    score: the many of little score would drown what the surest have to say.
+    A box counts as right from the class's loosest 3D overlap with a label of its class on; those that nobody can judge
+    teach nothing. Boxes count by the network's score: the many of little score would drown what the surest have to say.
 
     Args:
         found: boxes of each frame with the network's scores.
@@ -65,12 +66,13 @@ def fit_confidence(
     Raises:
         TooFewBoxesError: too few boxes are right, or wrong.
     """
-    right_rows = right_boxes(labels, [item.detections for item in found])
+    judged_rows = judged_boxes(labels, [item.detections for item in found])
     features, right, scores, frames = [], [], [], []
-    for number, (item, rights, width) in enumerate(zip(found, right_rows, image_widths, strict=True)):
+    for number, (item, judged, width) in enumerate(zip(found, judged_rows, image_widths, strict=True)):
         rows = np.array([item.detections.class_names[index] == name for index in item.detections.class_id], np.bool_)
+        rows &= ~np.isnan(judged)
         features.append(confidence_features(item, width)[rows])
-        right.append(rights[rows])
+        right.append(judged[rows] > 0)
         scores.append(item.detections.score[rows])
         frames.append(np.full(np.count_nonzero(rows), number))
     table, target, score, frame = (np.concatenate(parts) for parts in (features, right, scores, frames))
@@ -95,16 +97,25 @@ def fit_confidence(
     )
 
 
-def right_boxes(labels: Sequence[Objects3D], found: Sequence[Detections3D]) -> list[NDArray[np.bool_]]:
-    """Of each frame (N,) whether a box overlaps a label of its class by its class's loosest 3D overlap or more."""
+def judged_boxes(labels: Sequence[Objects3D], found: Sequence[Detections3D]) -> list[FloatArray]:
+    """Of each frame (N,): 1 where a box overlaps a label of its class by the loosest 3D overlap or more, else 0.
+
+    NaN where nobody can tell: it lies over a region without labels, or over an object of the class's neighbour.
+    """
     label_rows, box_rows = label_table(labels), detection_table(found)
     pairs = pair_table(label_rows, box_rows)
-    least = {KITTI_CLASSES.index(rule.name): min(rule.min_overlap["3d"]) for rule in CLASS_RULES}
-    asked = np.array([least.get(int(index), np.inf) for index in box_rows.class_id[pairs.detection]])
-    same = label_rows.class_id[pairs.label] == box_rows.class_id[pairs.detection]
-    right = np.zeros(len(box_rows.frame), np.bool_)
-    right[pairs.detection[same & (pairs.overlap["3d"] >= asked)]] = True
-    return np.split(right, np.cumsum([len(item) for item in found])[:-1])
+    judged = np.where(pairs.region_cover >= SAME_PLACE, np.nan, 0.0)
+    least, neighbour = np.full(len(KITTI_CLASSES), np.inf), np.full(len(KITTI_CLASSES), -1)
+    for rule in CLASS_RULES:
+        own = KITTI_CLASSES.index(rule.name)
+        least[own] = min(rule.min_overlap["3d"])
+        neighbour[own] = -1 if rule.neighbour is None else KITTI_CLASSES.index(rule.neighbour)
+    kind, labelled = box_rows.class_id[pairs.detection], label_rows.class_id[pairs.label]
+    beside = (pairs.overlap["2d"] >= SAME_PLACE) & (labelled == neighbour[kind])
+    judged[pairs.detection[beside]] = np.nan
+    right = (labelled == kind) & (pairs.overlap["3d"] >= least[kind])
+    judged[pairs.detection[right]] = 1.0
+    return np.split(judged, np.cumsum([len(item) for item in found])[:-1])
 
 
 def _learn(features: FloatArray, right: NDArray[np.bool_], importance: FloatArray) -> FloatArray:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edge.evaluation.confidence_fit import fit_confidence, right_boxes
+from edge.evaluation.confidence_fit import fit_confidence, judged_boxes
 from runtime.contracts.errors import EdgeError
+from runtime.contracts.kitti import parse_labels
 from runtime.contracts.objects import Detections3D, Objects3D
 from runtime.refinement import FEATURES, Refined
 
@@ -49,8 +50,20 @@ def test_right_is_the_loosest_overlap_with_a_label_of_the_class() -> None:
     labels = [truth(np.array([[0, 1, 20.0]]), [0]), Objects3D.empty(CLASSES), truth(np.array([[0, 1, 20.0]]), [1])]
     centers = np.array([[0, 1, 20.2], [0, 1, 22.0], [0, 1, 20.0]])  # 80 %, none, the same
     found = [boxes(centers, [0, 0, 1], np.array([0.9, 0.8, 0.7])) for _ in labels]
-    expected = [[True, False, False], [False, False, False], [False, False, True]]
-    assert [list(rows) for rows in right_boxes(labels, found)] == expected
+    assert [list(rows) for rows in judged_boxes(labels, found)] == [[1, 0, 0], [0, 0, 0], [0, 0, 1]]
+
+
+def test_nobody_can_judge_a_box_over_a_region_without_labels_or_over_a_van() -> None:
+    van = "Van 0 0 0 400 100 480 150 2.0 1.8 4.5 0 1 40 0"
+    region = "DontCare -1 -1 -10 390 90 500 160 -1 -1 -1 -1000 -1000 -1000 -10"
+    right = "Car 0 0 0 400 100 480 150 1.5 1.6 4.0 0 1.75 20 0"
+    for text, expected in (
+        (van, [np.nan, np.nan, 0]),
+        (region, [np.nan] * 3),
+        (f"{right}\n{region}", [1, np.nan, np.nan]),
+    ):
+        found = boxes(np.array([[0, 1, 20.0], [0, 1, 30.0], [0, 1, 20.0]]), [0, 0, 1], np.full(3, 0.8))
+        np.testing.assert_array_equal(judged_boxes([parse_labels(text)], [found])[0], expected)
 
 
 def drawn(frames: int) -> tuple[list[Refined], list[Objects3D]]:
