@@ -7,6 +7,8 @@ KITTI ?=
 SOURCE ?= $(if $(KITTI),kitti-object:$(KITTI)?split=val,$(DEMO_DRIVE))
 MODEL ?=
 OUT ?= out
+START ?= $(if $(BACKBONE),,$(wildcard edge/zoo/$(PRESET).safetensors))
+BACKBONE ?=
 FRAMES ?= 2000
 STEPS ?= 10000
 DEVICE ?= cpu
@@ -19,6 +21,9 @@ DEMO_DRIVE := kitti-tracking:edge/samples/demo_drive
 FLOAT_MODEL = $(OUT)/$(PRESET)-fp32
 INT8_MODEL = $(OUT)/$(PRESET)-int8
 RUN = $(OUT)/$(PRESET)-run
+# The bundled weights know the bundled priors.
+BEGINNING = $(addprefix --start ,$(START)) $(addprefix --backbone ,$(BACKBONE)) \
+  $(if $(filter edge/zoo/%,$(START)),--priors edge/zoo/$(PRESET)-priors.npz)
 SIMULATED = $(OUT)/simulated
 NATIVE_SOURCES := $(wildcard runtime/native/*.cc runtime/native/*.h tests/runtime/native/*.cc)
 # Results under the default OUT are these targets' own and may be replaced; a folder that you name is not.
@@ -44,13 +49,14 @@ MAKEFLAGS += --no-print-directory
 ##   train      simulate FRAMES frames, then train PRESET on them (and on KITTI's train frames) -> OUT/PRESET-run
 ##   clean      remove environments, builds and caches; OUT stays
 ## Variables
-##   PRESET     compact (default) or paper
+##   PRESET     compact (default), paper or mono
 ##   CHECKPOINT weights to export; default: the bundled ones, which only compact has.  PRIORS: theirs, if not beside
 ##   KITTI      folder of the KITTI object data set; its train frames calibrate, its val frames measure
 ##   SOURCE     frames to look at, a source URI; default: KITTI's val frames, else the bundled demo drive
 ##   MODEL      model directory, for accuracy and bench also several
 ##   OUT        folder of the results, default out
 ##   FRAMES, STEPS, DEVICE   of train: 2000 (a larger one adds to what is there), 10000, cpu
+##   START, BACKBONE   of train: weights to begin from (default: the bundled ones, CC BY-NC-SA 3.0), or ImageNet's
 ##   PYTHON     the interpreter to make environments with
 help:
 	@echo "make TARGET [VARIABLE=value ...]"
@@ -99,7 +105,7 @@ train: setup
 	$(VENV)/bin/edge simulate $(SIMULATED) --frames $(FRAMES)
 	$(VENV)/bin/edge train --preset $(PRESET) --dataset "kitti-object:$(SIMULATED)?split=train" \
 	  $(if $(KITTI),--dataset "kitti-object:$(KITTI)?split=train") \
-	  --steps $(STEPS) --device $(DEVICE) --out $(RUN) $(if $(wildcard $(RUN)/checkpoint.pt),--resume)
+	  --steps $(STEPS) --device $(DEVICE) --out $(RUN) $(if $(wildcard $(RUN)/checkpoint.pt),--resume,$(BEGINNING))
 
 clean:
 	rm -rf $(VENV) $(SLIM) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -267,7 +267,8 @@ def train_command(
             write_settings(out, chosen, settings, dict(zip(dataset, weights, strict=True)), origin=record)
             keep_priors(out)
         progress = TrainProgress(settings, samples=frames.epoch_length, shown=ranks.writes)
-        progress.tell(f"priors: {origin}", *(f"note: {text}" for text in start_notes(start, chosen, tables)))
+        notes = start_notes(start, chosen, tables, backbone=backbone, resume=resume)
+        progress.tell(f"priors: {origin}", *(f"note: {text}" for text in notes))
         with progress:
             average = train(
                 detector,

@@ -20,12 +20,20 @@ def priors_origin(out: Path, preset: Preset, given: Path | None) -> str:
     return BUNDLED_ORIGIN if bundled_priors(preset) is not None else "computed from the datasets' labels"
 
 
-def start_notes(start: Path | None, preset: Preset, priors: AnchorPriors) -> list[str]:
-    """What a user should know of weights that a run starts from: that they were trained for something else.
+def start_notes(
+    start: Path | None, preset: Preset, priors: AnchorPriors, *, backbone: Path | None, resume: bool
+) -> list[str]:
+    """What a user should know of weights that a run starts from: that they were trained for something else, or never.
 
     It is no error: a run may lead away from what its weights were, it only begins with boxes that are off.
     """
     notes = []
+    if start is None and backbone is None and not resume:
+        frozen = preset.training.frozen_backbone_parts
+        kept = "its norms" if not frozen else f"its norms and the first {frozen} of its parts"
+        notes.append(
+            f"the backbone is random, and {kept} will not learn; --backbone or --start give it trained weights"
+        )
     for check in (
         lambda path: check_priors(path, priors, preset.classes),
         lambda path: check_ablations(path, preset),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -146,12 +147,15 @@ def test_weights_round_trip_and_refusal(tmp_path: Path) -> None:
     branch = next(name for name in detector.state_dict() if name.startswith("disparity_branch"))
     for name in ("head.regression.0.0.weight", branch):
         torch.testing.assert_close(other.state_dict()[name], detector.state_dict()[name], atol=1e-3, rtol=1e-3)
-    assert start_notes(file, chosen, plain_priors(chosen)) == []
+    notes = partial(start_notes, preset=chosen, priors=plain_priors(chosen))
+    assert notes(file, backbone=None, resume=False) == notes(None, backbone=None, resume=True) == []
+    assert notes(None, backbone=file, resume=False) == []
+    assert ["backbone is random" in note for note in notes(None, backbone=None, resume=False)] == [True]
     bare = tmp_path / "bare.safetensors"
     without = {name: value for name, value in detector.state_dict().items() if not name.startswith("disparity_branch")}
     save_weights(bare, without, metadata={"preset": chosen.name})
     load_weights(other, bare)
-    assert ["starts anew" in note for note in start_notes(bare, chosen, plain_priors(chosen))] == [True]
+    assert ["starts anew" in note for note in notes(bare, backbone=None, resume=False)] == [True]
     with pytest.raises(CheckpointError, match="expected the weights of this preset"):
         load_weights(StereoDetector(replace(chosen, classes=("Car",))), file)
     file.write_bytes(b"not weights")
