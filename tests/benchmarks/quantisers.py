@@ -42,7 +42,7 @@ from tests.benchmarks.quantisers_table import Row, comparison_table, machine_lin
 
 FLOAT = "float32"
 CONTROL_SHIFT = 4
-"""Control frames lie half a step, four eighths, beside those that calibrate."""
+"""Control frames begin half of their own step, four eighths, later."""
 TIMED_REPEAT = 3
 RANKING_FRAMES, MAX_LAYERS = 4, 8
 _CLOCKS = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
