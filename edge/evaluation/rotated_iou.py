@@ -53,10 +53,3 @@ def _clamped_areas(first: FloatArray, second: FloatArray) -> FloatArray:
     following = np.roll(path, -1, axis=1)
     signed = path[..., 0] * following[..., 1] - path[..., 1] * following[..., 0]
     return 0.5 * np.abs(signed.sum(axis=1))
-
-
-def rotated_iou(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Intersection over union of each pair of rectangles; arguments as in `intersection_areas`; (N,)."""
-    shared = intersection_areas(first, second)
-    union = first[:, 2] * first[:, 3] + second[:, 2] * second[:, 3] - shared
-    return np.divide(shared, union, out=np.zeros_like(shared), where=union > 0)

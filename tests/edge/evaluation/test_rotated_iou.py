@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely.geometry import Polygon
 
-from edge.evaluation.rotated_iou import intersection_areas, rotated_iou
+from edge.evaluation.rotated_iou import intersection_areas
+from edge.evaluation.tables import solid_overlap
 from runtime.contracts.objects import ground_corners
 
 EXACT_TOLERANCE = 1e-12  # of values up to 1: a few dozen float64 roundings
@@ -20,6 +21,12 @@ coordinate = st.floats(-10.0, 10.0, allow_nan=False)
 side = st.floats(0.05, 20.0)
 angle = st.one_of(st.floats(-7.0, 7.0), st.sampled_from([0.0, np.pi / 2, -np.pi / 2, np.pi, np.pi / 4]))
 rectangle = st.tuples(coordinate, coordinate, side, side, angle)
+
+
+def rotated_iou(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Of each pair on the ground: seen from above, the overlap of solids of whatever height."""
+    seen_from_above, _ = solid_overlap(*(np.pad(boxes, ((0, 0), (0, 2))) for boxes in (first, second)))
+    return seen_from_above
 
 
 def test_no_pairs():
