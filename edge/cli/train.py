@@ -147,11 +147,12 @@ def train_command(
     from edge.detector.presets import preset as find_preset
     from edge.detector.presets import with_frozen_backbone
     from edge.detector.weights import PRIORS_KEY, load_backbone, load_weights, priors_digest, save_weights
+    from edge.training.checkpoint import back_to_hold
     from edge.training.distributed import process_group, ranks_of_environment, wait_for_all
     from edge.training.frame_changes import frame_changes
     from edge.training.loop import train
     from edge.training.methods import with_method
-    from edge.training.origin import origin_record, priors_origin, start_notes
+    from edge.training.origin import origin_record, overlap_notes, priors_origin, start_notes
     from edge.training.precision import wants_mixed_precision
     from edge.training.rig import rig_metadata, with_rig_of_data
     from edge.training.run_record import RunSettings, check_same_run, length_before, write_settings
@@ -195,7 +196,7 @@ def train_command(
     with process_group(device) as (ranks, own_device):
         wait_for_all(ranks)
         if not ranks.writes:
-            first_step = open_run(out, resume=True) if resume else 0
+            first_step = open_run(out, resume=True, before_cooldown=before_cooldown) if resume else 0
         tables = run_priors(out, chosen, sources, given=None)
         torch.manual_seed(seed)
         detector = build_detector(chosen)
@@ -261,6 +262,8 @@ def train_command(
                 first_step=first_step,
                 ranks=ranks,
             )
+        if ranks.writes and before_cooldown:  # nothing is wrong any more
+            back_to_hold(out)
         wait_for_all(ranks)
         if ranks.writes:  # from here on the folder is a run's
             record = origin_record(method=method, priors=origin, start=start, backbone=backbone, validation=validation)
@@ -268,6 +271,8 @@ def train_command(
             keep_priors(out)
         progress = TrainProgress(settings, samples=frames.epoch_length, shown=ranks.writes)
         notes = start_notes(start, chosen, tables, backbone=backbone, resume=resume)
+        if measured is not None:
+            notes += overlap_notes(sources, measured)
         progress.tell(f"priors: {origin}", *(f"note: {text}" for text in notes))
         with progress:
             average = train(

@@ -252,7 +252,7 @@ def _people(rng: np.random.Generator, street: Street, *, length_m: float, durati
         meet = float(rng.uniform(1.0, duration_secs + 2.0))  # crosses the middle about then, well before the ego car
         rate = float(rng.choice([-1.0, 1.0])) * float(rng.normal(1.3, 0.1))
         s = _EGO_SPEED_M_S * meet + float(rng.uniform(24.0, 50.0))
-        mover = _mover(rng, "Pedestrian", s=s, t=-rate * meet - 1.0, turn_rad=-np.pi / 2 * np.sign(rate))
+        mover = _mover(rng, "Pedestrian", s=s, t=-rate * meet - 1.0, turn_rad=np.pi / 2 * np.sign(rate))
         if len(mover.body.phases) > 1:
             movers.append(replace(mover, cross_m_s=rate))
     return movers

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import multiprocessing
 import os
 import threading
@@ -82,6 +83,8 @@ def simulate(
         MissingExtraError: the renderer cannot start.
     """
     out = Path(out)
+    if not math.isfinite(seconds):
+        raise FormatError(f"seconds gives {seconds}, expected the length of a drive; give a number")
     count = round(FRAMES_PER_SECOND * seconds) if sequence else frames
     for name, value in (("frames", count), ("workers", workers), ("quality", quality), ("seed", seed + 1)):
         if value < 1:

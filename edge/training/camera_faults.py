@@ -7,7 +7,7 @@ cameras never agree entirely. Disparity supervision is matched on the pair befor
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -68,6 +68,15 @@ def draw_faults(rng: np.random.Generator, *, views: int = 2) -> tuple[ViewFaults
             )
         )
     return tuple(faults)
+
+
+def exchange_rectification(faults: Sequence[ViewFaults]) -> tuple[ViewFaults, ViewFaults]:
+    """Faults of a pair whose views will change their roles: those of rectification stay with the right one."""
+    first, second = faults
+    return (
+        replace(first, shift_px=second.shift_px, roll_rad=second.roll_rad),
+        replace(second, shift_px=first.shift_px, roll_rad=first.roll_rad),
+    )
 
 
 def with_faults(images: Sequence[NDArray[np.uint8]], faults: Sequence[ViewFaults]) -> list[NDArray[np.uint8]]:

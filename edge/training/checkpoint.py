@@ -76,16 +76,29 @@ def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
 def back_to_hold(run_dir: Path) -> None:
     """Let a run go on from before its cooldown; the checkpoint that it had lies beside as ``checkpoint-cooled.pt``.
 
+    A run that has not gone on since keeps what lies there.
+
     Raises:
         CheckpointError: the run kept none, since it has had no cooldown.
     """
-    hold, now = run_dir / HOLD_CHECKPOINT_FILE, run_dir / CHECKPOINT_FILE
+    hold, now = load_hold(run_dir), load_checkpoint(run_dir / CHECKPOINT_FILE)
+    if now["step"] > hold["step"]:
+        save_checkpoint(run_dir / COOLED_CHECKPOINT_FILE, now)
+    save_checkpoint(run_dir / CHECKPOINT_FILE, hold)
+
+
+def load_hold(run_dir: Path) -> dict[str, Any]:
+    """The checkpoint from before a run's cooldown.
+
+    Raises:
+        CheckpointError: the run kept none, since it has had no cooldown.
+    """
+    hold = run_dir / HOLD_CHECKPOINT_FILE
     if not hold.is_file():
         raise CheckpointError(
             f"{hold} is not there, expected the checkpoint from before a cooldown; leave --before-cooldown out"
         )
-    save_checkpoint(run_dir / COOLED_CHECKPOINT_FILE, load_checkpoint(now))
-    save_checkpoint(now, load_checkpoint(hold))
+    return load_checkpoint(hold)
 
 
 def load_checkpoint(path: Path) -> dict[str, Any]:

@@ -60,7 +60,7 @@ def disparity_from_points(points_in_camera: FloatArray, geometry: StereoGeometry
     """Disparity of points that the left camera sees, at their pixels; the nearest wins.
 
     ``disparity = f b / Z`` with f b the difference of the two cameras' translation columns, as the official code has
-    it; rounded down to sixteenths.
+    it, and between cameras of other principal columns their difference more; rounded down to sixteenths.
 
     Args:
         points_in_camera: (N, 3) metres in the labels' camera.
@@ -74,7 +74,8 @@ def disparity_from_points(points_in_camera: FloatArray, geometry: StereoGeometry
     column, row = np.floor(pixels).T
     seen = (depth_m > 0) & (points_in_camera[:, 2] > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
     focal_baseline = geometry.P2[0, 3] - geometry.P3[0, 3]
-    sixteenths = np.minimum(SUBPIXELS * focal_baseline / points_in_camera[seen, 2], np.iinfo(np.int16).max)
+    disparity_px = focal_baseline / points_in_camera[seen, 2] + geometry.P2[0, 2] - geometry.P3[0, 2]
+    sixteenths = np.minimum(SUBPIXELS * disparity_px, np.iinfo(np.int16).max)
     found = np.zeros((height, width), np.int16)
     np.maximum.at(found, (row[seen].astype(int), column[seen].astype(int)), sixteenths.astype(np.int16))
     return found

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from runtime.boxcode import FloatArray32
 from runtime.contracts.geometry import FloatArray, StereoGeometry, project_to_image
+from runtime.contracts.kitti import MISSING_ALPHA_RAD
 from runtime.contracts.objects import Objects3D, box_corners, wrap_angle_rad
 
 NEIGHBOUR_CLASSES = {"Car": ("Van",), "Pedestrian": ("Person_sitting",)}
@@ -125,6 +126,13 @@ def mirror_objects(objects: Objects3D, mirrored_P2: FloatArray) -> Objects3D:
     yaw = wrap_angle_rad(np.pi - objects.yaw_rad)
     values = {name: getattr(objects, name) for name in objects.__dataclass_fields__}
     return alpha_of_yaw(Objects3D(**{**values, "center_in_camera": center, "yaw_rad": yaw}), mirrored_P2)
+
+
+def with_every_alpha(objects: Objects3D, P2: FloatArray) -> Objects3D:
+    """Objects whose alpha is not given get what their yaw says."""
+    given = objects.alpha_rad != MISSING_ALPHA_RAD
+    alpha = np.where(given, objects.alpha_rad, alpha_of_yaw(objects, P2).alpha_rad)
+    return objects if given.all() else replace(objects, alpha_rad=alpha)
 
 
 def alpha_of_yaw(objects: Objects3D, P2: FloatArray) -> Objects3D:

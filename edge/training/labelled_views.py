@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from edge.detector.presets import Preset
+from edge.training.ground_truth import with_every_alpha
 from runtime.contracts.geometry import FloatArray
 from runtime.contracts.objects import Objects3D
 from runtime.preprocess import network_view
@@ -19,4 +20,4 @@ def labelled_views(source: FrameSequence, preset: Preset) -> Iterator[tuple[Obje
         if objects is None:
             continue
         view = network_view(source[index].geometry, manifest)
-        yield objects, view.to_network(objects.box_in_left_image)
+        yield with_every_alpha(objects, view.geometry.P2), view.to_network(objects.box_in_left_image)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from edge.detector.presets import Preset
@@ -9,6 +10,8 @@ from edge.detector.weights import check_ablations, check_priors, has_disparity_b
 from edge.zoo.priors import BUNDLED_ORIGIN, bundled_priors
 from runtime.contracts.errors import CheckpointError
 from runtime.contracts.manifest import PRIORS_FILE, AnchorPriors, file_sha256
+from runtime.sources.base import FrameSequence
+from runtime.sources.pairs import ImagePairs
 
 
 def priors_origin(out: Path, preset: Preset, given: Path | None) -> str:
@@ -46,6 +49,19 @@ def start_notes(
     if start is not None and preset.views == 2 and not has_disparity_branch(start):
         notes.append(f"{start} has no disparity branch, which training uses: it starts anew")
     return notes
+
+
+def overlap_notes(datasets: Sequence[FrameSequence], validation: FrameSequence) -> list[str]:
+    """That frames which validate train, too: the best weights would be those that know them by heart."""
+    taught = {path for source in datasets for path in _left_images(source)}
+    shared = sum(path in taught for path in _left_images(validation))
+    if not shared:
+        return []
+    return [f"{shared} of {len(validation)} validation frames train, too: their AP flatters; validate on others"]
+
+
+def _left_images(source: FrameSequence) -> list[Path]:
+    return [source.left_image(row) for row in range(len(source))] if isinstance(source, ImagePairs) else []
 
 
 def origin_record(

@@ -61,7 +61,8 @@ class PriorStatistics:
         std[:, :3] = np.where(usable, deviation, UNUSABLE_STD)
         if self._sizes:
             sizes = np.concatenate(self._sizes)
-            mean[:, 3:], std[:, 3:] = sizes.mean(axis=0), sizes.std(axis=0)
+            mean[:, 3:] = sizes.mean(axis=0)
+            std[:, 3:] = np.maximum(sizes.std(axis=0), MIN_DEVIATION)  # of one object, seen often, too
         return mean, std
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from edge.detector.presets import Preset
 from edge.training.assign import AnchorTargets, assign
 from edge.training.augment import change_colours, draw_colour_change
-from edge.training.camera_faults import ViewFaults, with_faults
+from edge.training.camera_faults import ViewFaults, exchange_rectification, with_faults
 from edge.training.disparity_targets import (
     CELL_PX,
     block_matching_disparity,
@@ -20,7 +20,14 @@ from edge.training.disparity_targets import (
     official_grey,
     reduce_to_cells,
 )
-from edge.training.ground_truth import ObjectLimits, alpha_of_yaw, ground_truth, mirror_geometry, mirror_objects
+from edge.training.ground_truth import (
+    ObjectLimits,
+    alpha_of_yaw,
+    ground_truth,
+    mirror_geometry,
+    mirror_objects,
+    with_every_alpha,
+)
 from runtime.anchors import AnchorGrid, BoolArray, anchor_grid, usable_anchors, usable_by_class
 from runtime.contracts.errors import FrameError
 from runtime.contracts.frame import StereoFrame
@@ -97,19 +104,24 @@ class SampleMaker:
         """
         seen = self._views(frame)
         colours_first = self._augment and self._preset.training.photometric_first
+        change = draw_colour_change(draws) if self._augment else None
+        mirrored = self._augment and draws.rand() < MIRROR_PROBABILITY
+        if faults is not None and mirrored and len(seen) == 2:
+            faults = exchange_rectification(faults)
         if faults is not None and colours_first:
             seen = with_faults(seen, faults[: len(seen)])
         view = network_view(frame.geometry, self._manifest)
-        change = draw_colour_change(draws) if self._augment else None
-        images: list[NDArray[np.generic]] = [to_network_image(image, view) for image in seen]
+        images: list[NDArray[np.generic]]
         if colours_first and change is not None:
             full = [change_colours(_rgb_float(image), change)[..., ::-1] for image in seen]
             images = [to_network_image(image, view, as_float=True) for image in full]  # type: ignore[arg-type]
+        else:
+            images = [to_network_image(image, view) for image in seen]
         if faults is not None and not colours_first:
             images = with_faults(images, faults[: len(images)])  # type: ignore[arg-type]
         geometry = view.geometry
         dont_care = view.to_network(objects.dont_care_boxes)
-        mirrored = self._augment and draws.rand() < MIRROR_PROBABILITY
+        objects = with_every_alpha(objects, geometry.P2)
         if mirrored:
             images = [np.ascontiguousarray(image[:, ::-1]) for image in reversed(images)]
             geometry = mirror_geometry(geometry, exchange=len(seen) == 2)

@@ -9,7 +9,7 @@ from pathlib import Path
 import torch
 
 from edge.detector.presets import Preset
-from edge.training.checkpoint import CHECKPOINT_FILE, back_to_hold, load_checkpoint
+from edge.training.checkpoint import CHECKPOINT_FILE, load_checkpoint, load_hold
 from edge.training.labelled_views import labelled_views
 from edge.training.priors import anchor_statistics
 from edge.training.run_record import SETTINGS_FILE
@@ -33,14 +33,26 @@ def check_device(device: str) -> None:
         raise EdgeError(f"--device is {device!r}, expected cpu or cuda; choose one")
     if device.startswith("cuda") and not torch.cuda.is_available():
         raise EdgeError("--device cuda finds no GPU, expected one with a CUDA build of torch; use --device cpu")
+    _, of_several, number = device.partition(":")
+    if of_several and not (number.isdecimal() and int(number) < torch.cuda.device_count()):
+        raise EdgeError(
+            f"--device is {device!r}, expected cuda:N with N below {torch.cuda.device_count()}, the number of GPUs; "
+            "choose one"
+        )
 
 
 def check_unlabelled(preset: Preset, uris: Sequence[str]) -> None:
-    """Refuse frames that teach disparity alone where nothing learns disparity.
+    """Refuse frames that teach disparity alone where nothing learns disparity, or that cannot be read in any order.
 
     Raises:
-        EdgeError: the preset is mono, or an ablation took its disparity supervision away.
+        EdgeError: the preset is mono, or an ablation took its disparity supervision away; or a source is a video.
     """
+    videos = [uri for uri in uris if uri.startswith("video:")]
+    if videos:
+        raise EdgeError(
+            f"--unlabelled {videos[0]} is a video, expected images, since training reads frames in any order; write "
+            "its frames as images and name these"
+        )
     if uris and (preset.views == 1 or preset.training.disparity_source == "none"):
         raise EdgeError(
             f"--unlabelled {uris[0]} with preset {preset.name}, which learns no disparity, expected one that does; "
@@ -54,20 +66,20 @@ def open_run(out: Path, *, resume: bool, before_cooldown: bool = False) -> int:
     Args:
         out: the folder.
         resume: go on from its checkpoint.
-        before_cooldown: from the one before its cooldown.
+        before_cooldown: from the one before its cooldown, which `edge.training.checkpoint.back_to_hold` makes its own.
 
     Returns:
         The step that the run goes on from.
 
     Raises:
         OutputError: the folder holds something and the run is new, or it cannot be made.
-        CheckpointError: ``resume`` without a checkpoint.
+        CheckpointError: ``resume`` without a checkpoint, ``before_cooldown`` without one from before it.
         EdgeError: ``before_cooldown`` without ``resume``.
     """
     if before_cooldown and not resume:
         raise EdgeError("--before-cooldown goes on with a run that there is, expected --resume beside it; add it")
     if before_cooldown:
-        back_to_hold(out)
+        return int(load_hold(out)["step"])
     if resume:
         return int(load_checkpoint(out / CHECKPOINT_FILE)["step"])
     try:

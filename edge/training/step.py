@@ -74,6 +74,9 @@ def train_step(
         dead_zone=training.dead_zones,
         empty_images_teach=training.empty_images_teach,
     )
+    if joint["unlabelled"]:  # they teach no class: the mean is over the others
+        images = len(batch.targets) * ranks.count
+        classes = classes * (images / max(images - joint["unlabelled"], 1.0))
     boxes = box_loss(logits[..., -1], deltas, batch.targets, z_weight=training.z_weight, dead_zone=training.dead_zones)
     if ranks.count > 1:
         boxes = boxes * share_of_denominator(own["objects"], joint["objects"], ranks)

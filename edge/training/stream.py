@@ -20,7 +20,7 @@ from edge.training.frame_changes import FrameChanges
 from edge.training.losses import ImageTargets
 from edge.training.point_clouds import points_in_camera
 from edge.training.samples import Sample, SampleMaker
-from runtime.contracts.errors import SourceError
+from runtime.contracts.errors import EdgeError, SourceError
 from runtime.contracts.objects import Objects3D
 from runtime.sources.base import FrameSequence
 
@@ -159,21 +159,47 @@ class Positions(Sampler[int]):
 
 def batches(
     frames: MixedFrames, *, first_step: int, last_step: int, batch_size: int, workers: int, ranks: Ranks = ALONE
-) -> DataLoader[Sample]:
-    """Batches for steps ``first_step`` .. ``last_step - 1``: this process's share of ``batch_size`` samples each."""
-    return DataLoader(
-        frames,
+) -> Iterator[Batch]:
+    """Batches for steps ``first_step`` .. ``last_step - 1``: this process's share of ``batch_size`` samples each.
+
+    Raises:
+        EdgeError: a frame is unusable.
+    """
+    loader = DataLoader(
+        _Told(frames),
         batch_size=ranks.share_of(batch_size),
         sampler=Positions(first_step, last_step, batch_size=batch_size, ranks=ranks),
         num_workers=workers,
-        collate_fn=collate,
+        collate_fn=_collate_told,
         worker_init_fn=_single_threaded,
         prefetch_factor=4 if workers else None,
         generator=torch.Generator(),  # else each start of the loader draws from the generator that dropout uses
     )
+    for batch in loader:
+        if isinstance(batch, EdgeError):
+            raise batch
+        yield batch
 
 
-def collate(samples: list[Sample]) -> Batch:  # type: ignore[type-arg]
+class _Told(Dataset[Sample | EdgeError]):
+    """Samples, or what is wrong with their frames, as a value: what a worker raises comes wrapped in a traceback."""
+
+    def __init__(self, frames: MixedFrames) -> None:
+        self._frames = frames
+
+    def __getitem__(self, position: int) -> Sample | EdgeError:
+        try:
+            return self._frames[position]
+        except EdgeError as error:
+            return error
+
+
+def _collate_told(told: list[Sample | EdgeError]) -> Batch | EdgeError:
+    wrong = next((item for item in told if isinstance(item, EdgeError)), None)
+    return collate([item for item in told if isinstance(item, Sample)]) if wrong is None else wrong
+
+
+def collate(samples: list[Sample]) -> Batch:
     """Samples to one batch."""
     targets = [
         ImageTargets(

@@ -43,6 +43,7 @@ class Validation:
 
     Raises:
         SourceError: no frame has labels.
+        FrameError: the first one that has them lacks a view, or does not fit the preset.
     """
 
     def __init__(
@@ -65,6 +66,8 @@ class Validation:
         self._rows = [row for row in range(len(frames)) if frames.labels(row) is not None]
         if not self._rows:
             raise SourceError(f"{frames.uri} holds no labelled frame, expected at least one to validate on")
+        frame = frames[self._rows[0]]
+        prepare(frame, network_view(frame.geometry, self._manifest), self._manifest)  # tells what does not fit, now
         self._file = run_dir / VALIDATION_FILE
         self._best_file = run_dir / BEST_FILE
         self._metadata = metadata

@@ -85,6 +85,10 @@ class ImagePairs(FrameSequence):
                 digest.update(len(content).to_bytes(8, "big") + content)
         return digest.hexdigest()
 
+    def left_image(self, index: int) -> Path:
+        """The file of a frame's left view, without links."""
+        return self._pairs[self._rows[index]].left.resolve()
+
     def geometry(self, index: int, image_size_wh: tuple[int, int]) -> StereoGeometry:
         """The camera of a frame, whose images have that size; reads no image.
 

@@ -233,6 +233,10 @@ def test_a_resumed_run_keeps_its_length_and_goes_back_before_its_cooldown(
     assert "has done 3" in capsys.readouterr().err
     assert train(drive, out, "--resume", "--freeze-backbone", 4) == 2
     assert "training.frozen_backbone_parts" in capsys.readouterr().err
+    capsys.readouterr()
+    assert train(drive, out, "--resume", "--before-cooldown", "--batch", 1) == 2
+    assert not (out / "checkpoint-cooled.pt").exists(), "a refused command leaves the run as it was"
+    assert torch.load(out / "checkpoint.pt", weights_only=True)["step"] == 3
     assert train(drive, out, "--resume", "--before-cooldown", "--cooldown", 2) == 0
     assert torch.load(out / "checkpoint-cooled.pt", weights_only=True)["step"] == 3
     assert torch.load(out / "checkpoint.pt", weights_only=True)["step"] == 3
@@ -258,6 +262,7 @@ def test_a_run_says_what_it_starts_from(
     assert train(drive, second, *given, "--priors", tmp_path / "other.npz", "--ablate", "no-disparity-supervision") == 0
     told = capsys.readouterr().err
     assert "was trained with other priors" in told and "the same ablations" in told
+    assert "3 of 3 validation frames train, too" in told
     origin = json.loads((second / "run.json").read_text())["stages"][0]["origin"]
     assert origin == {
         "method": "preset",

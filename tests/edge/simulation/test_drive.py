@@ -48,6 +48,20 @@ def test_objects_move_smoothly_and_some_stand(drive: Drive) -> None:
     assert max(steps.values()) > 0.2, "moving traffic"
 
 
+def test_who_moves_faces_where_it_goes(drive: Drive) -> None:
+    before = {item.object_id: item for item in moment_at(drive, 2.0).objects}
+    after = {item.object_id: item for item in moment_at(drive, 2.1).objects}
+    ways = []
+    for key in before.keys() & after:
+        x, _, z = np.subtract(after[key].location, before[key].location)
+        if np.hypot(x, z) > 0.02:
+            yaw = before[key].yaw_rad
+            ways.append((x * np.cos(yaw) - z * np.sin(yaw)) / np.hypot(x, z))
+    assert len(ways) > 5 and min(ways) > 0.8
+    crossing = [mover for seed in range(7_301, 7_311) for mover in build_drive(seed, 5.0).movers if mover.cross_m_s]
+    assert crossing and all(np.sign(mover.cross_m_s) == np.sign(mover.turn_rad) for mover in crossing)
+
+
 def test_ego_drives_at_about_eight_metres_a_second(drive: Drive) -> None:
     eyes = [
         -(m.camera_from_world[:3, :3].T @ m.camera_from_world[:3, 3]) for m in (moment_at(drive, t) for t in (0.0, 4.0))

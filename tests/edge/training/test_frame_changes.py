@@ -25,9 +25,10 @@ from edge.training.run_record import RunSettings  # noqa: E402
 from edge.training.samples import SampleMaker  # noqa: E402
 from edge.training.start import check_unlabelled  # noqa: E402
 from edge.training.step import train_step  # noqa: E402
-from edge.training.stream import MixedFrames, collate  # noqa: E402
+from edge.training.stream import MixedFrames, batches, collate  # noqa: E402
 from edge.training.zoom import Zoom, draw_zoom, zoomed, zoomed_geometry, zoomed_objects  # noqa: E402
-from runtime.contracts.errors import EdgeError, SourceError  # noqa: E402
+from runtime.contracts.errors import EdgeError, FrameError, SourceError  # noqa: E402
+from runtime.contracts.frame import StereoFrame  # noqa: E402
 from runtime.contracts.geometry import StereoGeometry, project_to_image  # noqa: E402
 from runtime.contracts.objects import Objects3D, box_corners  # noqa: E402
 from runtime.preprocess import network_view  # noqa: E402
@@ -187,6 +188,21 @@ def test_faults_differ_between_views_and_leave_the_left_view_in_its_rows() -> No
     assert lit and all(not np.array_equal(one, other) for one, other in lit)
 
 
+def test_a_crooked_view_is_never_the_one_that_labels_are_for(toy: ModuleType) -> None:
+    chosen = toy.tiny_preset()
+    maker = SampleMaker(chosen, toy.plain_priors(chosen))
+    frame, objects = toy.DrawnFrames()[0], toy.DrawnFrames().labels(0)
+    crooked = [ViewFaults(), ViewFaults(shift_px=0.7, roll_rad=0.01)]
+    pairs = []
+    for seed in range(6):  # some are mirrored
+        clean = maker.make(frame, objects, np.random.RandomState(seed))
+        faulty = maker.make(frame, objects, np.random.RandomState(seed), faults=crooked)
+        np.testing.assert_array_equal(clean.left, faulty.left)
+        assert not np.array_equal(clean.right, faulty.right)
+        pairs.append(clean.targets.label)
+    assert any(not np.array_equal(label, pairs[0]) for label in pairs)
+
+
 def test_faults_are_for_the_network_alone(toy: ModuleType) -> None:
     chosen = toy.tiny_preset()
     maker = SampleMaker(chosen, toy.plain_priors(chosen))
@@ -236,6 +252,46 @@ def test_a_batch_of_unlabelled_frames_moves_the_weights(toy: ModuleType) -> None
     assert any("backbone" in name for name in moved["unlabelled"])
     assert not any("head" in name for name in moved["unlabelled"])
     assert moved["empty"] == []  # as the official code does with labelled frames that show no object
+
+
+def test_unlabelled_frames_take_nothing_from_the_class_loss(toy: ModuleType) -> None:
+    chosen, frames = toy.tiny_preset(), toy.DrawnFrames()
+    mixed = MixedFrames([frames], [1], maker=SampleMaker(chosen, toy.plain_priors(chosen)), seed=1, unlabelled=[frames])
+    samples = [mixed[position] for position in range(mixed.epoch_length)]
+    taught = [sample for sample in samples if sample.labelled and sample.targets.object_count][:2]
+    silent = [sample for sample in samples if not sample.labelled][:2]
+    run = RunSettings(steps=1, batch_size=4, learning_rate=1e-9, final_learning_rate=1e-9, mixed_precision=False)
+    losses = []
+    for samples_of_it in (taught, taught + silent):
+        torch.manual_seed(0)
+        detector = StereoDetector(chosen)
+        for module in detector.modules():
+            if isinstance(module, torch.nn.Dropout):
+                module.p = 0.0
+        optimiser = torch.optim.Adam(detector.parameters(), lr=run.learning_rate)
+        losses.append(
+            train_step(
+                detector, chosen, collate(samples_of_it), optimiser=optimiser, settings=replace(run, freeze_norms=True)
+            )
+        )
+    assert losses[1]["class_loss"] == pytest.approx(losses[0]["class_loss"], rel=1e-4)
+
+
+def test_a_frame_that_cannot_be_read_is_told_as_it_is(toy: ModuleType) -> None:
+    class Broken(toy.DrawnFrames):  # type: ignore[name-defined, misc]
+        def __getitem__(self, index: int) -> StereoFrame:
+            raise FrameError("frame 000003: 000003.png cannot be read")
+
+    chosen = toy.tiny_preset()
+    mixed = MixedFrames([Broken()], [1], maker=SampleMaker(chosen, toy.plain_priors(chosen)), seed=1)
+    for workers in (0, 1):
+        with pytest.raises(FrameError, match=r"^frame 000003: 000003\.png cannot be read$"):
+            next(batches(mixed, first_step=0, last_step=2, batch_size=2, workers=workers))
+
+
+def test_a_video_cannot_be_read_in_any_order() -> None:
+    with pytest.raises(EdgeError, match="is a video"):
+        check_unlabelled(preset("compact"), ["video:drive.mp4?layout=side-by-side&geometry=rig.json"])
 
 
 def test_unlabelled_frames_need_a_preset_that_learns_disparity() -> None:

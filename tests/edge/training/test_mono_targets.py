@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from edge.training.assign import match_anchors
-from edge.training.ground_truth import alpha_of_yaw, mirror_geometry, mirror_objects
+from edge.training.ground_truth import alpha_of_yaw, mirror_geometry, mirror_objects, with_every_alpha
+from edge.training.priors import anchor_statistics
 from runtime.contracts.geometry import StereoGeometry, project_to_image
-from runtime.contracts.kitti import parse_labels
+from runtime.contracts.kitti import MISSING_ALPHA_RAD, parse_labels
+from runtime.contracts.manifest import AnchorLayout
 
 P2 = np.array([[721.5377, 0, 609.5593, 44.85728], [0, 721.5377, 172.854, 0.2163791], [0, 0, 1, 0.002745884]])
 P3 = np.array([[721.5377, 0, 609.5593, -339.5242], [0, 721.5377, 172.854, 2.199936], [0, 0, 1, 0.002729905]])
@@ -42,3 +46,18 @@ def test_alpha_is_what_decoding_undoes() -> None:
     yaw_rad = objects.alpha_rad[0] + np.arctan2(center[0] + P2[0, 3] / P2[0, 0], center[2])
     assert yaw_rad == pytest.approx(-1.8)
     assert objects.alpha_rad[0] != pytest.approx(-1.5)
+
+
+def test_an_angle_that_is_not_given_is_what_yaw_says() -> None:
+    objects = parse_labels(LABEL + LABEL)
+    bare = replace(objects, alpha_rad=np.array([MISSING_ALPHA_RAD, 0.3]))
+    filled = with_every_alpha(bare, P2).alpha_rad
+    assert filled.tolist() == [alpha_of_yaw(objects, P2).alpha_rad[0], 0.3]
+    assert with_every_alpha(objects, P2) is objects
+
+
+def test_sizes_that_never_vary_have_a_spread() -> None:
+    objects = parse_labels(LABEL)
+    frames = [(objects, objects.box_in_left_image)] * 20
+    priors = anchor_statistics(frames, ("Car",), AnchorLayout(), input_size_hw=(288, 1280))
+    assert (priors.std[..., 3:] > 0).all()

@@ -166,6 +166,9 @@ def test_disparity_from_points(recorded: Any) -> None:
     differ = np.flatnonzero(ours != theirs)
     # two points share one pixel: the recording keeps the later, we the nearer; one value lies on a sixteenth's edge
     assert len(differ) <= 2 and (ours[differ] > theirs[differ]).all()
+    P3[0, 2] -= 0.5  # of cameras whose principal columns differ by half a pixel
+    farther = disparity_from_points(points, StereoGeometry(P2, P3, (1280, 288)))[rows, columns].astype(int)
+    assert set(farther - ours) == {8}
 
 
 @pytest.mark.parametrize("coefficient", [1, 5])

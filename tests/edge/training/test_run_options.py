@@ -30,7 +30,7 @@ from edge.training.schedule import Schedule, cosine_rate, schedule_kind, steps_o
 from edge.training.start import run_steps  # noqa: E402
 from edge.training.stream import MixedFrames  # noqa: E402
 from edge.training.validation import BEST_FILE, VALIDATION_FILE, Validation, mean_moderate_ap  # noqa: E402
-from runtime.contracts.errors import EdgeError, SourceError  # noqa: E402
+from runtime.contracts.errors import EdgeError, FrameError, SourceError  # noqa: E402
 from runtime.contracts.objects import Detections3D  # noqa: E402
 from runtime.refinement import refiner  # noqa: E402
 
@@ -313,6 +313,13 @@ def test_validation_finds_what_the_labels_say(toy: ModuleType, tmp_path: Path) -
     sample = SampleMaker(chosen, priors, augment=False).make(frames[0], frames.labels(0), np.random.RandomState(0))
     detector = KnowsTheAnswer(sample.targets, len(chosen.classes))
     given = {"run_dir": tmp_path, "metadata": {}}
+
+    class OneView(OneCar):
+        def __getitem__(self, index: int) -> Any:
+            return replace(super().__getitem__(index), right=None)
+
+    with pytest.raises(FrameError, match="has no right image"):
+        Validation(detector, chosen, priors, frames=OneView(), **given)
     with pytest.raises(SourceError, match="no labelled frame"):
         Validation(detector, chosen, priors, frames=Unlabelled(), **given)
     validate = Validation(detector, chosen, priors, frames=frames, **given)
