@@ -32,6 +32,8 @@ INSTALL = -m pip install --quiet --disable-pip-version-check --constraint constr
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
+# A model directory is written beside its place and renamed: it is whole, whatever ends the command after that.
+.PRECIOUS: $(FLOAT_MODEL)/manifest.json $(INT8_MODEL)/manifest.json
 .NOTPARALLEL:
 .PHONY: help setup demo test lint export quantize accuracy stream bench train clean
 MAKEFLAGS += --no-print-directory

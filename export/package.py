@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import platform
-from importlib.metadata import version
 from pathlib import Path
 
 import onnx
@@ -19,6 +18,7 @@ from runtime.contracts.manifest import (
     format_manifest,
     write_priors,
 )
+from runtime.machine import package_version
 from runtime.model_folder import CARD_FILE, replaced_directory
 
 _TOOLS = ("torch", "onnx", "onnxscript", "onnxsim", "onnxruntime", "numpy")
@@ -54,4 +54,4 @@ def write_model_directory(
 
 def tool_versions() -> dict[str, str]:
     """Versions of what made the file."""
-    return {"python": platform.python_version(), **{name: version(name) for name in _TOOLS}}
+    return {"python": platform.python_version(), **{name: package_version(name) or "unknown" for name in _TOOLS}}

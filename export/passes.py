@@ -84,13 +84,8 @@ def name_after_modules(model: onnx.ModelProto) -> onnx.ModelProto:
 
 
 def simplify(model: onnx.ModelProto) -> onnx.ModelProto:
-    """Folds constants and batch norms by onnxsim."""
-    simplified, valid = onnxsim.simplify(model)
-    if not valid:
-        raise ExportError(
-            "onnxsim: found that the simplified graph computes something else; expected the same numbers;"
-            " use the pinned onnxsim"
-        )
+    """Folds constants and batch norms by onnxsim; whether the numbers stay is for `export.parity` to tell."""
+    simplified: onnx.ModelProto = onnxsim.simplify(model)[0]
     return simplified
 
 

@@ -7,7 +7,6 @@ import platform
 import re
 import shutil
 from collections.abc import Collection
-from importlib.metadata import version
 from pathlib import Path
 
 import onnx
@@ -27,6 +26,7 @@ from runtime.contracts.manifest import (
     format_manifest,
     open_model_directory,
 )
+from runtime.machine import package_version
 from runtime.model_folder import CALIBRATION_FILE, CARD_FILE, replaced_directory
 
 _TOOLS = ("onnx", "onnxruntime", "numpy")
@@ -84,7 +84,11 @@ def _manifest(
         "calibration_pixels_sha256": frames.digest,
         "given_back_to_float": " ".join(sorted(given_back)) or "none",
     }
-    tools = {**old.tools, "python": platform.python_version(), **{name: version(name) for name in _TOOLS}}
+    tools = {
+        **old.tools,
+        "python": platform.python_version(),
+        **{name: package_version(name) or "unknown" for name in _TOOLS},
+    }
     return dataclasses.replace(
         old,
         recipe=prepared.recipe.name,
@@ -97,7 +101,7 @@ def _manifest(
 def _card(source: Path, manifest: Manifest, *, calibration_frames: int) -> str:
     """The float model's card with a section on INT8."""
     path = source / CARD_FILE
-    before = path.read_text(encoding="utf-8").rstrip() if path.is_file() else f"# {manifest.preset}"
+    before = path.read_text(encoding="utf-8", errors="replace").rstrip() if path.is_file() else f"# {manifest.preset}"
     before = re.sub(r"^# .*", f"# {manifest.preset}, {manifest.recipe}", before, count=1)
     facts = manifest.provenance
     return (

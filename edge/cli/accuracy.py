@@ -123,6 +123,7 @@ def _write_folder(
 ) -> None:
     """Detections as KITTI text, pictures of differences, report.md and report.json."""
     from edge.evaluation.depth_error import depth_errors
+    from edge.evaluation.measure import labelled_frames
     from edge.report.changes import write_pictures
     from edge.report.document import model_names
     from edge.report.files import write_text
@@ -131,11 +132,15 @@ def _write_folder(
 
     names = model_names(records)
     for name, item in zip(names, assessments, strict=True):
+        folder = out / DETECTIONS_FOLDER / _flat(name)
         for frame_id, found in zip(item.run.frame_ids, item.run.detections, strict=True):
-            write_text(out / DETECTIONS_FOLDER / _flat(name) / f"{frame_id}.txt", format_detections(found))
+            write_text(folder / f"{frame_id}.txt", format_detections(found))
+        older = sum(1 for _ in folder.rglob("*.txt")) - len(item.run.frame_ids)
+        if older:
+            warn(f"{folder}: {older} text files of an earlier run lie among those of these frames; remove what is old")
     errors = []
     for item in assessments:
-        rows = [index for index, labels in enumerate(item.run.labels) if labels is not None]
+        rows = labelled_frames(item.run)
         labels = [item.run.labels[index] for index in rows]
         found = [item.run.detections[index] for index in rows]
         errors.append(depth_errors(labels, found, score=item.run.score_display))

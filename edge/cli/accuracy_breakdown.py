@@ -47,23 +47,20 @@ def need_labels(frames: FrameSequence, option: str) -> None:
 def broken_down(run: ModelRun, kinds: Sequence[str]) -> Breakdown:
     """A run's labelled frames, split."""
     from edge.evaluation.breakdown import break_down
+    from edge.evaluation.measure import labelled_frames
 
-    rows = labelled_rows(run)
+    rows = labelled_frames(run)
     labels = [item for item in run.labels if item is not None]
     found = [run.detections[index] for index in rows]
     return break_down(labels, found, score=run.score_display, classes=run.classes, kinds=kinds)
 
 
-def labelled_rows(run: ModelRun) -> list[int]:
-    """Indices of the labelled frames."""
-    return [index for index, labels in enumerate(run.labels) if labels is not None]
-
-
 def draw_errors(folder: Path, frames: FrameSequence, run: ModelRun, found: Breakdown, *, top: int) -> int:
     """Writes the pictures; gives their number."""
+    from edge.evaluation.measure import labelled_frames
     from edge.report.error_pictures import write_error_pictures
 
-    return len(write_error_pictures(folder, frames, run, found.outcomes, labelled_rows(run), limit=top))
+    return len(write_error_pictures(folder, frames, run, found.outcomes, labelled_frames(run), limit=top))
 
 
 def with_breakdowns(record: dict[str, Any], found: Sequence[Breakdown]) -> dict[str, Any]:

@@ -56,7 +56,9 @@ def confidence_command(
                     step()
         if not labels:
             raise SourceError(f"{', '.join(source)}: no frame has labels, expected some; give a labelled source")
-        sha256 = detector.manifest.sha256[MODEL_FILE]
+        of_model = {"model_sha256": detector.manifest.sha256[MODEL_FILE]}
+        if "checkpoint_sha256" in detector.manifest.provenance:
+            of_model["checkpoint_sha256"] = detector.manifest.provenance["checkpoint_sha256"]
     fits = []
     for name in names:
         try:
@@ -80,7 +82,7 @@ def confidence_command(
     record = ConfidenceRecord(
         weights={fit.name: fit.weights for fit in fits},
         facts={
-            "model_sha256": sha256,
+            **of_model,
             "frames": str(len(labels)),
             "sources": " ".join(public_name(uri) for uri in source),
             **{f"{fit.name}_boxes": f"{fit.boxes}, {fit.right} of them right" for fit in fits},

@@ -158,7 +158,10 @@ def _cameras() -> list[Finding]:
         return [Finding("OAK cameras", "not looked for", State.OPTIONAL, "pip install '.[oak]'")]
     from runtime.sources.oak import import_depthai
 
-    found = import_depthai().Device.getAllAvailableDevices()
+    try:
+        found = import_depthai().Device.getAllAvailableDevices()
+    except (ImportError, RuntimeError) as error:
+        return [Finding("OAK cameras", f"depthai does not run: {error}", State.OPTIONAL, "pip install '.[oak]' again")]
     if not found:
         return [Finding("OAK cameras", "none connected", State.OPTIONAL)]
     return [Finding("OAK camera", f"{info.name} ({info.getDeviceId()})") for info in found]
@@ -178,15 +181,16 @@ def _self_check() -> list[Finding]:
 
 def _run_model(folder: Path) -> Finding:
     """Loads a bundled model and looks at a few frames of the bundled recording."""
-    from edge.cli.notices import Notices
-    from edge.samples import measuring_source
     from runtime.contracts.errors import EdgeError
-    from runtime.detector import open_detector
-    from runtime.pipeline import run_stream
-    from runtime.sources.factory import open_source
 
     subject = f"bundled model {folder.name}"
     try:
+        from edge.cli.notices import Notices
+        from edge.samples import measuring_source
+        from runtime.detector import open_detector
+        from runtime.pipeline import run_stream
+        from runtime.sources.factory import open_source
+
         with (
             Notices(),
             open_source(f"{measuring_source()}?limit={SELF_CHECK_FRAMES}") as frames,
@@ -194,8 +198,10 @@ def _run_model(folder: Path) -> Finding:
         ):
             report = run_stream(frames, detector, [], score=detector.manifest.thresholds.display)
             native = detector.session.native_loaded
-    except EdgeError as error:
+    except (EdgeError, ImportError) as error:  # a package may be missing, or lack a library of the system
         return Finding(subject, str(error), State.BROKEN, "install this package again")
+    if report.interrupted:
+        raise KeyboardInterrupt
     median_ms = report.latency.summary()["inference"].p50
     kernel = "native library" if native else "function body"
     found = f"{report.detections} boxes in {report.frames} frames, {median_ms:.0f} ms inference with the {kernel}"

@@ -78,7 +78,7 @@ def export_command(
     from export.to_onnx import to_onnx
     from export.views import FromPixels
     from runtime.contracts.confidence import read_confidence
-    from runtime.contracts.errors import GoalMissedError
+    from runtime.contracts.errors import EdgeError, GoalMissedError
     from runtime.contracts.manifest import file_sha256
     from runtime.model_folder import check_place
     from runtime.native.library import library_path
@@ -108,9 +108,21 @@ def export_command(
     beside = checkpoint.with_name(f"{checkpoint.stem}-confidence.json")
     if confidence is None and beside.is_file() and manifest.depth_refinement:
         confidence = beside
-        console.print(f"confidence: {beside}", soft_wrap=True)
+        console.print(f"confidence: {beside}", soft_wrap=True, markup=False)
+    if confidence is not None and not manifest.depth_refinement:
+        raise EdgeError(
+            f"--confidence {confidence}: found preset {chosen.name}, expected one whose depths are refined, since "
+            "these scores follow from that; leave it out"
+        )
     trusted = None if confidence is None else read_confidence(confidence)
     if trusted is not None:
+        learned_with = trusted.facts.get("checkpoint_sha256")
+        if learned_with not in (None, file_sha256(checkpoint)):
+            console.print(
+                f"note: {confidence} was learned from boxes of other weights; edge confidence learns it anew",
+                soft_wrap=True,
+                markup=False,
+            )
         check_confidence(trusted.weights, manifest.classes)
         manifest = dataclasses.replace(manifest, confidence=trusted.weights)
     network: nn.Module = detector.eval()
@@ -147,7 +159,7 @@ def export_command(
     manifest = dataclasses.replace(manifest, provenance=provenance)
     card = model_card(manifest, checkpoint, parity=f"{'; '.join(lines)}.")
     write_model_directory(out, model, manifest, priors=tables, card=card)
-    console.print(f"wrote {out}")
+    console.print(f"wrote {out}", markup=False)
 
 
 def _feeds(recording: FrameSequence, manifest: Manifest, count: int) -> list[dict[str, NDArray[Any]]]:

@@ -54,6 +54,10 @@ DEBUG_FLAG = "--debug"
 _UsageError, _ClickError = typer.BadParameter.__mro__[1:3]
 
 
+class _ClosedPipeError(Exception):
+    """Who read what is written has gone."""
+
+
 class LazyGroup(TyperGroup):
     """Commands by name from their modules; the one place where errors become exit codes."""
 
@@ -70,6 +74,13 @@ class LazyGroup(TyperGroup):
         single.command(cmd_name)(getattr(module, f"{cmd_name}_command"))
         return typer.main.get_command(single)
 
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command; a closed pipe is told apart before typer calls it a failure."""
+        try:
+            return super().invoke(ctx)
+        except BrokenPipeError as error:
+            raise _ClosedPipeError from error
+
     def main(self, args: Sequence[str] | None = None, *positional: Any, **options: Any) -> Any:
         """Run; ends the process with the exit code.
 
@@ -81,7 +92,7 @@ class LazyGroup(TyperGroup):
         options = {**options, "standalone_mode": False, "prog_name": "edge"}
         try:
             result = super().main(arguments, **options)
-        except BrokenPipeError:
+        except _ClosedPipeError:
             sys.stdout = open(os.devnull, "w")  # noqa: PTH123, SIM115 - the interpreter flushes it once more
             sys.exit(EXIT_BROKEN_PIPE)
         except (Exception, KeyboardInterrupt) as error:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from runtime.contracts.errors import SourceError
+from runtime.contracts.errors import EdgeError, SourceError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -60,6 +60,8 @@ def stream_command(
     directory = open_model_directory(model)
     if labels and frames.is_live:
         raise SourceError(f"{source} is live and has no labels, expected recorded frames; leave --labels out")
+    if labels and video is None and pictures is None:
+        raise EdgeError("--labels draws labels, expected --video or --pictures beside it; add one or leave it out")
     request = SinkRequest(json=json, kitti=kitti, video=video, pictures=pictures, overwrite=overwrite)
     sinks = open_sinks(request, directory.manifest, fps=frames.frame_hz)
     with ExitStack() as stack:
@@ -127,4 +129,4 @@ def _tell(console: Console, report: StreamReport, sinks: list[Sink]) -> None:
         line += ", interrupted"
     console.print(line, highlight=False)
     for sink in sinks:
-        console.print(f"written: {sink.summary()}", highlight=False, soft_wrap=True)
+        console.print(f"written: {sink.summary()}", highlight=False, soft_wrap=True, markup=False)

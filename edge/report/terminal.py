@@ -49,9 +49,15 @@ def _grid(table: Table, columns: int, text_columns: int) -> RichTable:
     return grid
 
 
+class _ReportConsole(Console):
+    def on_broken_pipe(self) -> None:
+        """Raise what rich would end the process for, so that the exit code is one place's business."""
+        raise BrokenPipeError
+
+
 def report_console() -> Console:
     """A console for results: standard output, wide enough for the tables where it is piped."""
-    console = Console(highlight=False, soft_wrap=False)
+    console = _ReportConsole(highlight=False, soft_wrap=False)
     if not console.is_terminal:
         console.width = max(console.width, MIN_WIDTH)
     return console

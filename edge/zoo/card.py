@@ -20,7 +20,7 @@ def model_card(manifest: Manifest, checkpoint: Path, *, parity: str) -> str:
     views = "a rectified stereo pair" if manifest.views == 2 else "one image"
     beside = checkpoint.parent / CARD_FILE
     origin = (
-        beside.read_text(encoding="utf-8").strip()
+        beside.read_text(encoding="utf-8", errors="replace").strip()
         if beside.is_file()
         else "Not stated: no card.md lies beside the checkpoint. The licence of the training data applies."
     )

@@ -158,15 +158,18 @@ def test_partly_labelled_recording_says_so(
 
 @pytest.mark.parametrize("flag", [[], ["--overwrite"]])
 def test_folder_with_files_needs_overwrite(
-    toy_model: Callable[..., Path], source: str, tmp_path: Path, flag: list[str]
+    toy_model: Callable[..., Path], source: str, tmp_path: Path, flag: list[str], capsys: pytest.CaptureFixture[str]
 ):
     (tmp_path / "kept.txt").write_text("")
+    (tmp_path / "detections" / "fp32").mkdir(parents=True)
+    (tmp_path / "detections" / "fp32" / "000004.txt").write_text("")
     code = run("accuracy", toy_model("fp32"), "--source", f"{source}&limit=1", "--out", tmp_path, *flag)
     assert code == (0 if flag else 2)
     assert (tmp_path / "report.md").exists() is bool(flag)
     if flag:
         found = parse_detections((tmp_path / "detections" / "fp32" / "000000.txt").read_text())
         assert len(found) == 3
+        assert "1 text files of an earlier run" in capsys.readouterr().err
 
 
 def test_broken_second_model_is_said_before_the_first_runs(

@@ -114,11 +114,12 @@ def test_a_damaged_drive(
 
 
 def test_a_broken_label_when_labels_are_asked_for(
-    tiny_model: Path, tiny_drive: Path, capfd: pytest.CaptureFixture[str]
+    tiny_model: Path, tiny_drive: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     broken_label(tiny_drive)
-    line = complaint(capfd, "stream", tiny_model, "--source", f"kitti-object:{tiny_drive}", "--labels")
-    assert "000001.txt" in line
+    words = ("stream", tiny_model, "--source", f"kitti-object:{tiny_drive}", "--labels")
+    assert "000001.txt" in complaint(capfd, *words, "--pictures", tmp_path / "pictures")
+    assert "expected --video or --pictures" in complaint(capfd, *words)
 
 
 @pytest.mark.parametrize(

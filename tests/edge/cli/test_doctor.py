@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+import sys
 import tomllib
 from pathlib import Path
 
@@ -47,3 +48,17 @@ def test_a_model_is_run(damaged: bool, tiny_model: Path, tiny_drive: Path, monke
     finding = doctor._run_model(tiny_model)
     assert finding.state is (doctor.State.BROKEN if damaged else doctor.State.GOOD)
     assert ("sha256" if damaged else "3 boxes in 3 frames") in finding.found
+
+
+def test_a_broken_package_is_a_row_of_the_table(tiny_model: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "runtime.detector", None)  # as where OpenCV lacks a library of the system
+    finding = doctor._run_model(tiny_model)
+    assert finding.state is doctor.State.BROKEN and "runtime.detector" in finding.found
+
+    def broken() -> None:
+        raise ImportError("libusb is missing")
+
+    monkeypatch.setattr(doctor, "_installed", lambda name: True)
+    monkeypatch.setattr("runtime.sources.oak.import_depthai", broken)
+    (row,) = doctor._cameras()
+    assert row.state is doctor.State.OPTIONAL and "libusb is missing" in row.found

@@ -131,6 +131,9 @@ def test_confidence_beside_the_weights_or_given(
     assert "confidence: " in capsys.readouterr().err
     manifest = open_model_directory(tmp_path / "beside").manifest
     assert manifest.confidence == weights and manifest.provenance["confidence_frames"] == "9"
+    write_confidence(tmp_path / "other.json", ConfidenceRecord(weights, {"checkpoint_sha256": "of another run"}))
+    assert export_small(folder, tmp_path / "other", source, "--confidence", tmp_path / "other.json") == 0
+    assert "learned from boxes of other weights" in capsys.readouterr().err
     write_confidence(tmp_path / "given.json", ConfidenceRecord({"Car": (0.0,) * 3}))
     assert export_small(folder, tmp_path / "given", source, "--confidence", tmp_path / "given.json") == 2
     assert "has 3 numbers for Car" in capsys.readouterr().err

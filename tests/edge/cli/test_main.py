@@ -112,5 +112,7 @@ def test_debug_keeps_the_traceback(words: list[str]) -> None:
 def test_a_closed_pipe_ends_quietly(tiny_model: Path, tiny_drive: Path) -> None:
     """As with ``edge stream ... --json - | head -1``."""
     command = f"{sys.executable} -m edge stream {tiny_model} --source kitti-object:{tiny_drive} --json - | head -c 1"
-    result = subprocess.run(command, shell=True, cwd=REPOSITORY, capture_output=True, text=True, check=False)
+    words = ["bash", "-o", "pipefail", "-c", command]
+    result = subprocess.run(words, cwd=REPOSITORY, capture_output=True, text=True, check=False)
     assert "rror" not in result.stderr
+    assert result.returncode == 141
