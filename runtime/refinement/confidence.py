@@ -19,6 +19,7 @@ from runtime.contracts.errors import ManifestError
 from runtime.contracts.geometry import FloatArray
 from runtime.contracts.objects import Detections3D
 from runtime.refinement.evidence import EVIDENCE, Refined
+from runtime.refinement.occluders import OCCLUDER_SCORE
 
 FEATURES: Final = ("logit", *EVIDENCE, "log depth", "log height", "at border")
 """The network's logit, the evidence, log of metres, log of the 2D box's pixels of height, and 1 where it meets the left
@@ -70,7 +71,10 @@ def probability(features: FloatArray, weights: FloatArray) -> FloatArray:
 
 
 def with_confidence(refined: Refined, weights: Mapping[str, Sequence[float]], image_width: int) -> Detections3D:
-    """The boxes with the probabilities as scores, sorted by them.
+    """The boxes with the probabilities as scores.
+
+    A box that the network itself doubts, with less than `OCCLUDER_SCORE`, gets no more than the network's score: a
+    stream decodes no such boxes, and what it shows must not depend on the score that was asked for.
 
     Args:
         refined: boxes with the network's scores.
@@ -86,4 +90,6 @@ def with_confidence(refined: Refined, weights: Mapping[str, Sequence[float]], im
         rows = found.class_id == index
         if name in weights and rows.any():
             score[rows] = probability(features[rows], np.array(weights[name]))
+    doubted = found.score < OCCLUDER_SCORE
+    score[doubted] = np.minimum(score, found.score)[doubted]
     return dataclasses.replace(found, score=score)

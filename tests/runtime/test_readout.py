@@ -45,6 +45,19 @@ def test_scores_of_confidence_are_what_is_asked_for() -> None:
     np.testing.assert_allclose(shown.score, all_of_them.score[all_of_them.score > 0.5])
 
 
+def test_confidence_makes_nothing_sure_that_the_network_doubts() -> None:
+    model = str(files("edge.zoo") / "compact-int8")
+    with as_sequence(open_source(measuring_source())) as source, open_detector(model, threads=1) as detector:
+        frame = source[FRAMES_WITH_HIDERS[0]]
+        weights = dict.fromkeys(FEATURES, 0.0) | {"logit": 1.0}
+        confidence = {name: (*weights.values(), 3.0) for name in detector.manifest.classes}
+        manifest = replace(detector.manifest, confidence=confidence)
+        told = Detector(replace(detector.directory, manifest=manifest), detector.session)
+        all_of_them, shown = (told(frame, score=score)[0] for score in (0.05, 0.5))
+    assert 0 < len(shown) < len(all_of_them)
+    np.testing.assert_array_equal(shown.score, all_of_them.score[all_of_them.score > 0.5])
+
+
 def test_without_refinement_boxes_stay_as_they_were_decoded() -> None:
     model = str(files("edge.zoo") / "compact-int8")
     with as_sequence(open_source(measuring_source())) as source, open_detector(model, threads=1) as detector:
