@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import platform
 from pathlib import Path
 
 import onnx
@@ -18,7 +17,7 @@ from runtime.contracts.manifest import (
     format_manifest,
     write_priors,
 )
-from runtime.machine import package_version
+from runtime.machine import tool_versions
 from runtime.model_folder import CARD_FILE, replaced_directory
 
 _TOOLS = ("torch", "onnx", "onnxscript", "onnxsim", "onnxruntime", "numpy")
@@ -46,12 +45,7 @@ def write_model_directory(
         onnx.save(model, folder / MODEL_FILE)
         write_priors(folder / PRIORS_FILE, manifest.classes, priors)
         hashes = {name: file_sha256(folder / name) for name in (MODEL_FILE, PRIORS_FILE)}
-        written = dataclasses.replace(manifest, sha256=hashes, tools=tool_versions())
+        written = dataclasses.replace(manifest, sha256=hashes, tools=tool_versions(_TOOLS))
         (folder / MANIFEST_FILE).write_text(format_manifest(written), encoding="utf-8")
         (folder / CARD_FILE).write_text(card, encoding="utf-8")
     return written
-
-
-def tool_versions() -> dict[str, str]:
-    """Versions of what made the file."""
-    return {"python": platform.python_version(), **{name: package_version(name) or "unknown" for name in _TOOLS}}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import platform
 import re
 import shutil
 from collections.abc import Collection
@@ -26,7 +25,7 @@ from runtime.contracts.manifest import (
     format_manifest,
     open_model_directory,
 )
-from runtime.machine import package_version
+from runtime.machine import tool_versions
 from runtime.model_folder import CALIBRATION_FILE, CARD_FILE, replaced_directory
 
 _TOOLS = ("onnx", "onnxruntime", "numpy")
@@ -84,11 +83,7 @@ def _manifest(
         "calibration_pixels_sha256": frames.digest,
         "given_back_to_float": " ".join(sorted(given_back)) or "none",
     }
-    tools = {
-        **old.tools,
-        "python": platform.python_version(),
-        **{name: package_version(name) or "unknown" for name in _TOOLS},
-    }
+    tools = {**old.tools, **tool_versions(_TOOLS)}
     return dataclasses.replace(
         old,
         recipe=prepared.recipe.name,

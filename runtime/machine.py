@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import os
 import platform
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -37,6 +38,11 @@ class Processor:
     def has_int8_dot_products(self) -> bool:
         """Whether INT8 has instructions of its own here."""
         return any(flag in INT8_FLAGS for flag in self.flags or ())
+
+
+def tool_versions(packages: Iterable[str]) -> dict[str, str]:
+    """Versions of Python and of what made a file; ``unknown`` for a package that goes by another name here."""
+    return {"python": platform.python_version(), **{name: package_version(name) or "unknown" for name in packages}}
 
 
 def processor() -> Processor:

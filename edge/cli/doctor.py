@@ -156,9 +156,9 @@ def _egl() -> list[Finding]:
 def _cameras() -> list[Finding]:
     if not _installed("depthai"):
         return [Finding("OAK cameras", "not looked for", State.OPTIONAL, "pip install '.[oak]'")]
-    from runtime.sources.oak import import_depthai
-
     try:
+        from runtime.sources.oak import import_depthai
+
         found = import_depthai().Device.getAllAvailableDevices()
     except (ImportError, RuntimeError) as error:
         return [Finding("OAK cameras", f"depthai does not run: {error}", State.OPTIONAL, "pip install '.[oak]' again")]

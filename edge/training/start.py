@@ -29,11 +29,11 @@ def check_device(device: str) -> None:
     Raises:
         EdgeError: another word than cpu or cuda, or CUDA without a GPU.
     """
-    if device != "cpu" and device.partition(":")[0] != "cuda":
+    kind, of_several, number = device.partition(":")
+    if device != "cpu" and kind != "cuda":
         raise EdgeError(f"--device is {device!r}, expected cpu or cuda; choose one")
-    if device.startswith("cuda") and not torch.cuda.is_available():
+    if kind == "cuda" and not torch.cuda.is_available():
         raise EdgeError("--device cuda finds no GPU, expected one with a CUDA build of torch; use --device cpu")
-    _, of_several, number = device.partition(":")
     if of_several and not (number.isdecimal() and int(number) < torch.cuda.device_count()):
         raise EdgeError(
             f"--device is {device!r}, expected cuda:N with N below {torch.cuda.device_count()}, the number of GPUs; "

@@ -64,6 +64,11 @@ def frame_number(stem: str, *, where: Path) -> int:
     return int(stem)
 
 
+def text_of(path: Path) -> str | None:
+    """A text file's content, None where there is no file; bytes that are no UTF-8 become what no number or name is."""
+    return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else None
+
+
 def read_seconds(path: Path) -> list[float] | None:
     """A list of camera times: seconds (odometry) or dates with nanoseconds (raw); None where there is no
     file.
@@ -71,10 +76,11 @@ def read_seconds(path: Path) -> list[float] | None:
     Raises:
         FormatError: a line is neither.
     """
-    if not path.is_file():
+    text = text_of(path)
+    if text is None:
         return None
     seconds = []
-    for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").split("\n"), start=1):
+    for number, line in enumerate(text.split("\n"), start=1):
         if not line.strip():
             continue
         try:

@@ -15,7 +15,7 @@ from runtime.contracts.errors import SourceError
 from runtime.contracts.kitti import parse_labels
 from runtime.contracts.objects import Objects3D
 from runtime.sources.base import DEFAULT_CAMERA_HZ
-from runtime.sources.kitti_files import expect_file, expect_folder
+from runtime.sources.kitti_files import expect_file, expect_folder, text_of
 from runtime.sources.pairs import ImagePairs, PairFiles
 from runtime.sources.pictures import list_images, locate_image
 from runtime.sources.uri import SourceOptions, SourceUri
@@ -65,10 +65,11 @@ def read_split(folder: Path, name: str, *, uri: str) -> list[str]:
     own_lists = {item.stem for item in folder.glob("*.txt")}
     if not own_lists and name in BUNDLED_SPLITS:
         return bundled_split(name)
-    if not path.is_file():
+    text = text_of(path)
+    if text is None:
         found = ", ".join(sorted(own_lists or BUNDLED_SPLITS))
         raise SourceError(f"{uri}: found no split {name!r} in {folder}, expected one of: {found}; choose one")
-    stems = path.read_text(encoding="utf-8", errors="replace").split()
+    stems = text.split()
     if not stems:
         raise SourceError(f"{uri}: the split {path} is empty, expected one frame name a line; fill it")
     return stems
@@ -87,8 +88,5 @@ class _LabelFiles:
 
     def __call__(self, pair: PairFiles) -> Objects3D | None:
         path = self._folder / f"{pair.frame_id}.txt"
-        return (
-            parse_labels(path.read_text(encoding="utf-8", errors="replace"), where=str(path))
-            if path.is_file()
-            else None
-        )
+        text = text_of(path)
+        return None if text is None else parse_labels(text, where=str(path))

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from runtime.contracts.kitti import KITTI_CLASSES, parse_tracking_labels
 from runtime.contracts.objects import Objects3D
-from runtime.sources.kitti_files import expect_file, expect_folder, frame_number, sequence_folders, time_of
+from runtime.sources.kitti_files import expect_file, expect_folder, frame_number, sequence_folders, text_of, time_of
 from runtime.sources.pairs import ImagePairs, PairFiles
 from runtime.sources.pictures import list_images, locate_image
 from runtime.sources.uri import SourceOptions, SourceUri
@@ -55,10 +55,7 @@ class _LabelTables:
         sequence, _, stem = pair.frame_id.partition("/")
         if sequence not in self._tables:
             path = self._folder / f"{sequence}.txt"
-            self._tables[sequence] = (
-                parse_tracking_labels(path.read_text(encoding="utf-8", errors="replace"), where=str(path))
-                if path.is_file()
-                else None
-            )
+            text = text_of(path)
+            self._tables[sequence] = None if text is None else parse_tracking_labels(text, where=str(path))
         table = self._tables[sequence]
         return None if table is None else table.get(int(stem), Objects3D.empty(KITTI_CLASSES))

@@ -107,11 +107,8 @@ def _edge(*options: str, control: bool = False) -> Callable[[Job, Path], None]:
         command = [sys.executable, "-m", "edge", "quantize", str(job.model.path), "--no-cache"]
         command += ["--calibration", job.calibration, "--frames", str(job.frames), "--out", str(out), *options]
         if control:
-            command += [
-                "--validation",
-                job.control.uri,
-                "--allow-overlap",
-            ]  # NNCF's control frames, whichever calibrate
+            # NNCF's control frames, whichever calibrate
+            command += ["--validation", job.control.uri, "--allow-overlap"]
             command += ["--max-disagreement", f"{job.control.max_disagreement:g}"]
         ran = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
         if ran.returncode != 0:
