@@ -1,11 +1,12 @@
 """The convolutions that end a network: what they write is read as columns of numbers, by the caller alone.
 
 Rounding the last numbers to 8 bits would be the one rounding that nothing behind it averages out: class scores of
-neighbouring anchors tie, and suppression then keeps another box. A 1x1 convolution is a matrix product, and a product
-of 8-bit integers has a 32-bit sum, which times a scale a channel is the output itself (`Placement.exact_outputs`):
-same multiply-adds, no QuantizeLinear, and the transposition to channels last moves bytes instead of floats. Other
-kernels have no such fast product in ONNX Runtime (its ConvInteger is four times slower than its QLinearConv), so
-their columns get a range each (`Placement.column_outputs`).
+neighbouring anchors tie, and suppression then keeps another box. A convolution of stride 1 is a matrix product over the
+window of each pixel, and a product of 8-bit integers has a 32-bit sum, which times a scale a channel is the output
+itself (`Placement.exact_outputs`): same multiply-adds, no QuantizeLinear, and the transposition to channels last moves
+bytes instead of floats. Windows of more than a pixel are laid out side by side before, as bytes, too; ONNX Runtime's
+operator for such sums, ConvInteger, is four times slower than its QLinearConv. Other convolutions, and all where a
+recipe wants it so, get a range for each column (`Placement.column_outputs`).
 """
 
 from __future__ import annotations
@@ -20,18 +21,32 @@ from quantize.graph import GraphIndex, attribute
 
 
 @dataclass(frozen=True, slots=True)
+class Window:
+    """What a convolution of stride 1 reads for a pixel.
+
+    Attributes:
+        rows, columns: of pixels.
+        margins: pixels of padding above, left, below and right of the image.
+    """
+
+    rows: int
+    columns: int
+    margins: tuple[int, int, int, int]
+
+
+@dataclass(frozen=True, slots=True)
 class NetworkEnd:
     """A last convolution.
 
     Attributes:
         columns: of the network's output; channel c is column c modulo columns.
         channels_last: tensor behind its Transpose, [B, H, W, M].
-        is_matrix_product: one pixel in, one pixel out.
+        is_product: whether it is a matrix product over windows, see `window_of`.
     """
 
     columns: int
     channels_last: str
-    is_matrix_product: bool
+    is_product: bool
 
 
 def network_ends(
@@ -60,17 +75,16 @@ def network_ends(
         dims = sizes[reshape.output[0]]
         permutation = list(attribute(transpose, "perm", []))
         if len(dims) == 3 and dims[2].dim_value > 0 and permutation == [0, 2, 3, 1]:
-            ends[name] = NetworkEnd(int(dims[2].dim_value), transpose.output[0], _is_matrix_product(node, index))
+            ends[name] = NetworkEnd(int(dims[2].dim_value), transpose.output[0], window_of(node, index) is not None)
     return ends
 
 
-def _is_matrix_product(node: onnx.NodeProto, index: GraphIndex) -> bool:
+def window_of(node: onnx.NodeProto, index: GraphIndex) -> Window | None:
+    """The window of a convolution; None where it leaves pixels out, or reads some channels or pixels only."""
     weight = index.constant(node.input[1])
-    return (
-        weight is not None
-        and weight.shape[2:] == (1, 1)
-        and int(attribute(node, "group", 1)) == 1
-        and attribute(node, "auto_pad", b"NOTSET") in (b"NOTSET", b"VALID")
-        and not np.any(attribute(node, "pads", [0]))
-        and bool(np.all(np.asarray(attribute(node, "strides", [1])) == 1))
-    )
+    padding = attribute(node, "auto_pad", b"NOTSET")
+    even = all(np.all(np.asarray(attribute(node, name, [1])) == 1) for name in ("strides", "dilations", "group"))
+    if weight is None or weight.ndim != 4 or not even or padding not in (b"NOTSET", b"VALID"):
+        return None
+    above, left, below, right = attribute(node, "pads", [0, 0, 0, 0]) if padding == b"NOTSET" else (0, 0, 0, 0)
+    return Window(*weight.shape[2:], (above, left, below, right))

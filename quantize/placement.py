@@ -93,7 +93,7 @@ def place(model: onnx.ModelProto, recipe: Recipe, excluded: Collection[str] = ()
             reasons[node.name] = reason
     _settle(taken, reasons, index=index, outputs=outputs, given=given)
     ends = network_ends(taken, index=index, outputs=outputs) if recipe.column_outputs or recipe.exact_outputs else {}
-    exact = {name: end.channels_last for name, end in ends.items() if recipe.exact_outputs and end.is_matrix_product}
+    exact = {name: end.channels_last for name, end in ends.items() if recipe.exact_outputs and end.is_product}
     columns = {name: end.columns for name, end in ends.items() if recipe.column_outputs and name not in exact}
     return Placement(
         nodes=frozenset(taken),

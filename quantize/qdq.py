@@ -6,8 +6,8 @@ values, and the correlation, read 8-bit tensors directly, so that no fusion is n
 Runtime's own quantiser does not know that a Slice or a padded Concat shares its input's scale, has no 8-bit
 correlation, no range a column, and reads pixels as normalised floats: hence our own.
 
-A 1x1 convolution that ends the network becomes a product of integers whose 32-bit sums are scaled to the output,
-so that the output is not rounded (`quantize.ends`). Another one gets one range a column of the network's output
+A convolution that ends the network becomes a product of integers whose 32-bit sums are scaled to the output, so that
+the output is not rounded (`quantize.ends`). Another one gets one range a column of the network's output
 (class logits, depth, size, ...), although its output tensor has a single scale: channel c is divided by its
 column's step, which goes into the weight's scale and the bias and leaves the 8-bit weights as they are; the
 DequantizeLinear behind it has the steps by channel.
@@ -26,6 +26,7 @@ from onnx import helper, numpy_helper
 
 from calib.methods import Range
 from quantize.correlation import qlinear_stereo_correlation_function
+from quantize.ends import Window, window_of
 from quantize.errors import QuantizeError
 from quantize.graph import GraphIndex, attribute, prune
 from quantize.placement import Placement, activations, moves
@@ -49,6 +50,7 @@ Levels = Mapping[str, NDArray[np.int8]]
 """Convolution -> the levels of its weights, in their shape."""
 ChannelExtremes = Mapping[str, tuple[NDArray[np.float32], NDArray[np.float32]]]
 _PRODUCER = "edge quantize"
+_TO_THE_END = np.iinfo(np.int64).max
 _MIDDLE = {"uint8": 128, "int8": 0}
 
 
@@ -259,7 +261,7 @@ class _Writer:
         self._add("DequantizeLinear", [f"{result}_q", scale, zero_point], result, axis=1)
 
     def _write_exact_convolution(self, node: onnx.NodeProto) -> None:
-        """The last 1x1 convolution with channels last, its sums scaled to real numbers and not rounded."""
+        """The last convolution with channels last, its sums scaled to real numbers and not rounded."""
         result = self._placement.exact_outputs[node.name]
         params = self._settle_params(node.input[0])
         weight, bias = self._weight_and_bias(node)
@@ -267,17 +269,46 @@ class _Writer:
         levels = self._weight_levels(node, weight, scales)
         _, zero_point = self._params_as_constants(node.input[0])
         combined = (params.scale * scales.astype(np.float64)).astype(np.float32)
-        matrix = self._constant(f"{node.name}.matrix_q", np.ascontiguousarray(levels.reshape(len(levels), -1).T))
+        by_pixel = levels.transpose(2, 3, 1, 0).reshape(-1, len(levels))
+        matrix = self._constant(f"{node.name}.matrix_q", np.ascontiguousarray(by_pixel))
         factors = self._constant(f"{node.name}.sum_scale", combined)
         offsets = self._constant(f"{node.name}.sum_offset", bias.astype(np.float32))
-        rows, sums, real, scaled = (f"{node.name}/{part}" for part in ("rows", "sums", "real_sums", "scaled"))
+        pixels, sums, real, scaled = (f"{node.name}/{part}" for part in ("pixels", "sums", "real_sums", "scaled"))
+        window = window_of(node, self._index)
+        assert window is not None  # placement took only such
+        self._nodes.append(
+            helper.make_node("Transpose", [self._levels(node.input[0])], [pixels], name=pixels, perm=[0, 2, 3, 1])
+        )
+        windows = self._windows(node.name, pixels, window, zero_point)
         self._nodes += [
-            helper.make_node("Transpose", [self._levels(node.input[0])], [rows], name=rows, perm=[0, 2, 3, 1]),
-            helper.make_node("MatMulInteger", [rows, matrix, zero_point], [sums], name=node.name),
+            helper.make_node("MatMulInteger", [windows, matrix, zero_point], [sums], name=node.name),
             helper.make_node("Cast", [sums], [real], name=real, to=onnx.TensorProto.FLOAT),
             helper.make_node("Mul", [real, factors], [scaled], name=scaled),
             helper.make_node("Add", [scaled, offsets], [result], name=f"{node.name}/Add"),
         ]
+
+    def _windows(self, name: str, pixels: str, window: Window, zero_point: str) -> str:
+        """[B, H, W, C] to [B, H', W', rows x columns x C]: the pixels that each sum reads, zeros beyond the image."""
+        if any(window.margins):
+            above, left, below, right = window.margins
+            margins = self._constant(f"{name}.margins", np.array([0, above, left, 0, 0, below, right, 0], np.int64))
+            padded = f"{name}/padded"
+            self._nodes.append(helper.make_node("Pad", [pixels, margins, zero_point], [padded], name=padded))
+            pixels = padded
+        if window.rows == window.columns == 1:
+            return pixels
+        axes = self._constant(f"{name}.window_axes", np.array([1, 2], np.int64))
+        shifted = []
+        for row, column in np.ndindex(window.rows, window.columns):
+            place = f"{row}_{column}"
+            ends = [row - window.rows + 1 or _TO_THE_END, column - window.columns + 1 or _TO_THE_END]
+            start = self._constant(f"{name}.from_{place}", np.array([row, column], np.int64))
+            end = self._constant(f"{name}.to_{place}", np.array(ends, np.int64))
+            shifted.append(f"{name}/pixels_{place}")
+            self._nodes.append(helper.make_node("Slice", [pixels, start, end, axes], shifted[-1:], name=shifted[-1]))
+        windows = f"{name}/windows"
+        self._nodes.append(helper.make_node("Concat", shifted, [windows], name=windows, axis=3))
+        return windows
 
     def _weight_and_bias(self, node: onnx.NodeProto) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
         """A convolution's weight, and its bias with what corrects it."""

@@ -34,7 +34,7 @@ class Recipe:
         operators: operator types that are quantised; all others stay float.
         fold_pixels: read uint8 pixels as they are instead of normalising in float and quantising again.
         column_outputs: give each column of the output its own range, folded into the last convolution's weights.
-        exact_outputs: let the 32-bit sums of last 1x1 convolutions become the output, unrounded.
+        exact_outputs: let the 32-bit sums of last convolutions of stride 1 become the output, unrounded.
         quantize_correlation: correlate 8-bit features (QLinearStereoCorrelation) instead of dequantised ones.
         integer_moves: let operators that only move values read 8-bit tensors directly; else between a
             DequantizeLinear and a QuantizeLinear, for runtimes that want to see those.

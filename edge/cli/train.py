@@ -144,6 +144,7 @@ def train_command(
     from edge.cli.train_progress import TrainProgress
     from edge.detector.ablations import ablated
     from edge.detector.build import build_detector
+    from edge.detector.checkpoint_file import read_checkpoint
     from edge.detector.presets import preset as find_preset
     from edge.detector.presets import with_frozen_backbone
     from edge.detector.weights import PRIORS_KEY, load_backbone, load_weights, priors_digest, save_weights
@@ -161,6 +162,7 @@ def train_command(
     from edge.training.start import check_device, check_unlabelled, keep_priors, open_run, run_priors, run_steps
     from edge.training.stream import MixedFrames
     from edge.training.validation import Validation
+    from edge.training.widen import widened
     from runtime.contracts.errors import CheckpointError, EdgeError
     from runtime.sources.factory import open_sequence
 
@@ -199,11 +201,12 @@ def train_command(
             first_step = open_run(out, resume=True, before_cooldown=before_cooldown) if resume else 0
         tables = run_priors(out, chosen, sources, given=None)
         torch.manual_seed(seed)
-        detector = build_detector(chosen)
+        detector, grown = build_detector(chosen), ()
         if backbone is not None:
             load_backbone(detector, backbone)
         if start is not None:
-            load_weights(detector, start)
+            weights_to_start, grown = widened(read_checkpoint(start), detector)
+            load_weights(detector, weights_to_start)
         frames = MixedFrames(
             sources,
             weights,
@@ -270,7 +273,7 @@ def train_command(
             write_settings(out, chosen, settings, dict(zip(dataset, weights, strict=True)), origin=record)
             keep_priors(out)
         progress = TrainProgress(settings, samples=frames.epoch_length, shown=ranks.writes)
-        notes = start_notes(start, chosen, tables, backbone=backbone, resume=resume)
+        notes = start_notes(start, chosen, tables, backbone=backbone, resume=resume, grown=grown)
         if measured is not None:
             notes += overlap_notes(sources, measured)
         progress.tell(f"priors: {origin}", *(f"note: {text}" for text in notes))

@@ -37,10 +37,10 @@ class AnchorHead(nn.Module):
             nn.Conv2d(width, width, 3, padding=1),
             nn.Dropout2d(shape.dropout),
             nn.ReLU(inplace=True),
-            _final(width, anchors_per_cell * self.logit_count, shape.final_kernel),
+            _final(width, anchors_per_cell * self.logit_count, shape.class_final_kernel),
         )
         box_width = shape.box_width or in_channels
-        final = _final(box_width, anchors_per_cell * DELTA_COUNT, shape.final_kernel)
+        final = _final(box_width, anchors_per_cell * DELTA_COUNT, shape.box_final_kernel)
         if shape.deformable:
             self.regression = nn.Sequential(
                 DeformableConv2d(in_channels, box_width),

@@ -134,14 +134,18 @@ class _Reader:
         )
 
     def _head(self, base: HeadShape) -> HeadShape:
-        final = self._shapes.get("head.classification.6.weight", ())
         box_width = self._width(r"head\.regression\.[01]\.", base.box_width or 0)
         return replace(
             base,
             class_width=self._width(r"head\.classification\.[03]\.", base.class_width),
             box_width=box_width or None,
-            final_kernel=final[-1] if len(final) == 4 else base.final_kernel,
+            class_final_kernel=self._kernel("head.classification.6.weight", base.class_final_kernel),
+            box_final_kernel=self._kernel("head.regression.3.weight", base.box_final_kernel),
         )
+
+    def _kernel(self, name: str, missing: int) -> int:
+        shape = self._shapes.get(name, ())
+        return shape[-1] if len(shape) == 4 else missing
 
     def check_anchors_and_classes(self, base: Preset) -> None:
         """Refuses other anchors, or another count of classes, than a preset's, where the last layers agree on them."""

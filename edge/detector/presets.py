@@ -74,7 +74,8 @@ class HeadShape:
 
     class_width: int = 256
     box_width: int | None = None
-    final_kernel: int = 3
+    class_final_kernel: int = 3
+    box_final_kernel: int = 3
     dropout: float = 0.3
     initial_probability: float | None = None
     deformable: bool = False
@@ -230,7 +231,14 @@ PRESETS: dict[str, Preset] = {
                 disparity_widths=(96, 48),
                 disparity_classes=96,
             ),
-            head=HeadShape(class_width=128, box_width=192, final_kernel=1, dropout=0.1, initial_probability=0.01),
+            head=HeadShape(
+                class_width=128,
+                box_width=192,
+                class_final_kernel=1,
+                box_final_kernel=1,
+                dropout=0.1,
+                initial_probability=0.01,
+            ),
         ),
         training=TrainingDefaults(
             class_weights=(20.0, 40.0, 40.0),

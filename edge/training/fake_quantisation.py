@@ -3,10 +3,10 @@
 Forward, every convolution's weight is rounded to 255 levels (127 with 7-bit weights) and every tensor that the INT8
 graph stores in 8 bits to 256; backward, rounding counts as the identity (straight-through; Jacob et al., Quantization
 and Training of Neural Networks, 2018, section 3). The places are those of `quantize.placement`: what a convolution
-gives behind its norm and ReLU, sums, concatenations, pools, correlations, and outputs that are not exact
-(`quantize.ends`) with a range a column. A norm that the export folds into its convolution changes no level of the
-weight, as each output channel has a scale of its own. Ranges are what `calib.methods.mse_range` makes of a thinned-out
-batch, averaged over steps; the columns' are running extremes.
+gives behind its norm and ReLU, sums, concatenations, pools, correlations; outputs are the unrounded sums of
+`quantize.ends`. A norm that the export folds into its convolution changes no level of the weight, as each output
+channel has a scale of its own. Ranges are what `calib.methods.mse_range` makes of a thinned-out batch, averaged over
+steps.
 
 Nothing of this is in the module: hooks that `FakeQuantisation.remove` takes away, no parameter, no buffer, no name.
 """
@@ -29,7 +29,6 @@ from edge.detector.head import AnchorHead
 from edge.detector.neck import DisparityBranch, ExpandAndMix, StereoNeck
 from edge.training.distributed import ALONE, Ranks, gathered
 from quantize.qparams import SMALLEST_SCALE, activation_params, largest_level
-from runtime.boxcode import DELTA_COUNT
 
 FIRST_STEPS = 10
 """Steps that all measure ranges."""
@@ -37,8 +36,6 @@ REFRESH_EVERY = 25
 """Later steps between measurements: ranges follow the weights, at next to no cost."""
 MEMORY = 0.9
 """Share of the old range that a later measurement keeps."""
-EXTREMES_MEMORY = 0.98
-"""The same for the ends of a column, where they come nearer."""
 SAMPLES = 1 << 18
 """Values of a tensor that a measurement looks at."""
 
@@ -95,7 +92,7 @@ class FakeQuantisation:
             self.load_state(first)
 
     def state(self) -> dict[str, Any]:
-        """What a checkpoint keeps: steps, and (2,) or (2, columns) float64 bounds by place."""
+        """What a checkpoint keeps: steps, and (2,) float64 bounds by place."""
         bounds = {name: point.bounds.clone() for name, point in self._points.items() if point.bounds is not None}
         return {"steps": self._steps, "bounds": bounds}
 
@@ -112,8 +109,8 @@ class FakeQuantisation:
             undo()
         self._undo.clear()
 
-    def _point(self, name: str, *, rectified: bool = False, columns: int = 0) -> _Point:
-        self._points[name] = point = _Point(rectified=rectified, columns=columns)
+    def _point(self, name: str, *, rectified: bool = False) -> _Point:
+        self._points[name] = point = _Point(rectified=rectified)
         return point
 
     def _apply(self, point: _Point, x: torch.Tensor) -> torch.Tensor:
@@ -157,48 +154,26 @@ class _Point:
     """A tensor that is stored in 8 bits.
 
     Attributes:
-        bounds: float64 (2,), or (2, columns), low and high; None before the first measurement.
+        bounds: float64 (2,), low and high; None before the first measurement.
     """
 
-    def __init__(self, *, rectified: bool, columns: int) -> None:
-        self._rectified, self._columns = rectified, columns
+    def __init__(self, *, rectified: bool) -> None:
+        self._rectified = rectified
         self.bounds: torch.Tensor | None = None
 
     def measure(self, x: torch.Tensor, share: float) -> None:
         """Take in a batch (B, C, ...) with at least this share; one that is not finite is passed over."""
-        new = self._extremes(x) if self._columns else self._least_error(x)
-        if new is None:
-            return
-        if self.bounds is None:
-            self.bounds = new
-            return
-        if self._columns:  # extremes widen at once
-            slow = self.bounds.lerp(new, 1 - EXTREMES_MEMORY)
-            self.bounds = torch.stack([torch.minimum(slow[0], new[0]), torch.maximum(slow[1], new[1])])
-        else:
-            self.bounds = self.bounds.lerp(new, max(share, 1 - MEMORY))
+        new = self._least_error(x)
+        if new is not None:
+            self.bounds = new if self.bounds is None else self.bounds.lerp(new, max(share, 1 - MEMORY))
 
     def rounded(self, x: torch.Tensor) -> torch.Tensor:
         """``x`` on its levels, in its own type; as it is where no range is known."""
         if self.bounds is None:
             return x
-        if not self._columns:
-            params = activation_params(*self.bounds.tolist())
-            out: torch.Tensor = _Round.apply(x, params.scale, -params.zero_point, _LEVELS - params.zero_point)
-            return out
-        params_of = [activation_params(low, high) for low, high in self.bounds.T.tolist()]
-        repeat = x.shape[1] // self._columns
-        scale, zero = (
-            torch.tensor(values, dtype=torch.float32, device=x.device).repeat(repeat).view(1, -1, 1, 1)
-            for values in ([p.scale for p in params_of], [float(p.zero_point) for p in params_of])
-        )
-        rounded: torch.Tensor = _Round.apply(x, scale, -zero, _LEVELS - zero)
-        return rounded
-
-    def _extremes(self, x: torch.Tensor) -> torch.Tensor | None:
-        by_column = x.double().unflatten(1, (-1, self._columns)).transpose(1, 2).transpose(0, 1).flatten(1)
-        found = torch.stack(by_column.aminmax(dim=1)).cpu()
-        return found if bool(torch.isfinite(found).all()) else None
+        params = activation_params(*self.bounds.tolist())
+        out: torch.Tensor = _Round.apply(x, params.scale, -params.zero_point, _LEVELS - params.zero_point)
+        return out
 
     def _least_error(self, x: torch.Tensor) -> torch.Tensor | None:
         flat = x.movedim(1, -1).reshape(-1)  # of channels-last tensors a view
@@ -252,13 +227,6 @@ def _outputs(name: str, module: nn.Module) -> Iterator[tuple[str, nn.Module, dic
         yield name, module, {}
     if isinstance(module, ExpandAndMix) and isinstance(module.pool, nn.AvgPool2d):
         yield f"{name}.pool", module.pool, {}
-    if isinstance(module, AnchorHead):
-        for output, last, columns in (
-            ("logits", module.classification[-1], module.logit_count),
-            ("deltas", module.regression[-1], DELTA_COUNT),
-        ):
-            if last.kernel_size != (1, 1):  # the sums of a 1x1 convolution become the output unrounded
-                yield f"{name}.{output}", last, {"columns": columns}
     if isinstance(module, DeformableConv2d):
         yield f"{name}.conv_offset", module.conv_offset, {}
     if isinstance(module, nn.Sequential):

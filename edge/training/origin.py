@@ -24,7 +24,13 @@ def priors_origin(out: Path, preset: Preset, given: Path | None) -> str:
 
 
 def start_notes(
-    start: Path | None, preset: Preset, priors: AnchorPriors, *, backbone: Path | None, resume: bool
+    start: Path | None,
+    preset: Preset,
+    priors: AnchorPriors,
+    *,
+    backbone: Path | None,
+    resume: bool,
+    grown: Sequence[str] = (),
 ) -> list[str]:
     """What a user should know of weights that a run starts from: that they were trained for something else, or never.
 
@@ -46,6 +52,9 @@ def start_notes(
                 check(start)
         except CheckpointError as error:
             notes.append(f"{error}, or let the run learn the difference")
+    if grown:
+        names = ", ".join(grown)
+        notes.append(f"{start} has smaller kernels in {names}: each begins in the middle of the larger one's zeros")
     if start is not None and preset.views == 2 and not has_disparity_branch(start):
         notes.append(f"{start} has no disparity branch, which training uses: it starts anew")
     return notes

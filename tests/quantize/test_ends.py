@@ -1,4 +1,4 @@
-"""Last convolutions: which are matrix products, and that their sums reach the output unrounded."""
+"""Last convolutions: which are products over windows, and that their sums reach the output unrounded."""
 
 from __future__ import annotations
 
@@ -34,60 +34,55 @@ def one_by_one(model: onnx.ModelProto, name: str = LAST) -> onnx.NodeProto:
     return node
 
 
-@pytest.fixture
-def written(toy_model, toy_feeds):
-    one_by_one(toy_model)
+@pytest.fixture(params=[1, 3])
+def written(request, toy_model, toy_feeds):
+    if request.param == 1:
+        one_by_one(toy_model)
     name_nodes(toy_model)
     model = fold_pixels(toy_model).model
     placement = place(model, RECIPE)
-    seen = observe(
-        model, lambda: toy_feeds[:4], tensors=placement.observed, channel_tensors=placement.observed_channels
-    )
+    seen = observe(model, lambda: toy_feeds[:4], tensors=placement.observed)
     graph = quantise_graph(model, placement, RECIPE, ranges=seen.ranges("minmax"), channels=seen.channels)
-    return model, placement, graph
-
-
-def test_other_kernels_are_no_matrix_products(toy_model) -> None:
-    name_nodes(toy_model)
-    placement = place(toy_model, RECIPE)
-    assert not placement.exact_outputs
-    assert placement.column_outputs == {"cls_logits.last": 4, LAST: 12}
+    return model, placement, graph, request.param
 
 
 @pytest.mark.parametrize(
     ("attribute", "value"),
     [
-        ("pads", [1, 1, 1, 1]),  # more pixels than were read
-        ("strides", [2, 2]),  # fewer
+        ("strides", [2, 2]),  # leaves pixels out
+        ("dilations", [2, 2]),
         ("auto_pad", "SAME_UPPER"),
     ],
 )
-def test_odd_one_by_one_convolutions_are_none_either(toy_model, attribute: str, value: object) -> None:
+def test_uneven_windows_are_no_matrix_products(toy_model, attribute: str, value: object) -> None:
     node = one_by_one(toy_model)
     node.attribute.append(onnx.helper.make_attribute(attribute, value))
     name_nodes(toy_model)
-    assert LAST not in place(toy_model, RECIPE).exact_outputs
+    placement = place(toy_model, RECIPE)
+    assert LAST not in placement.exact_outputs
+    assert placement.column_outputs == {LAST: 12}
+    assert placement.observed_channels == (LAST,)
 
 
-def test_a_one_by_one_end_is_exact_and_needs_no_range(written) -> None:
-    _, placement, graph = written
-    assert placement.exact_outputs == {LAST: "box_deltas.turned"}
-    assert placement.column_outputs == {"cls_logits.last": 4}
-    assert placement.observed_channels == ("cls_logits.last",)
+def test_an_end_is_exact_and_needs_no_range(written) -> None:
+    _, placement, graph, _ = written
+    assert placement.exact_outputs == {LAST: "box_deltas.turned", "cls_logits.last": "cls_logits.turned"}
+    assert not placement.column_outputs
+    assert not placement.observed_channels
     operators = {node.name: node.op_type for node in graph.model.graph.node}
     assert operators[LAST] == "MatMulInteger"
     onnx.checker.check_model(graph.model, full_check=False)
 
 
 def test_given_back_to_float_it_is_a_convolution_again(written) -> None:
-    model, _, _ = written
+    model, *_ = written
     placement = place(model, RECIPE, [LAST])
-    assert not placement.exact_outputs
+    assert LAST not in placement.exact_outputs
     assert placement.kept_float[LAST] == "given back to float"
 
 
 def test_the_output_is_the_scaled_integer_sum(written, toy_feeds) -> None:
-    model, _, graph = written
+    model, _, graph, size = written
     source = next(node for node in model.graph.node if node.name == LAST).input[0]
     levels_name, params = graph.tensors[source]
     copy = onnx.ModelProto.FromString(graph.model.SerializeToString())
@@ -95,26 +90,42 @@ def test_the_output_is_the_scaled_integer_sum(written, toy_feeds) -> None:
     with open_session(copy.SerializeToString()) as session:
         output, levels = session.run(toy_feeds[6], outputs=["box_deltas", levels_name])
     stored = {tensor.name: onnx.numpy_helper.to_array(tensor) for tensor in graph.model.graph.initializer}
-    sums = (levels.astype(np.int64) - params.zero_point).transpose(0, 2, 3, 1) @ stored[f"{LAST}.matrix_q"].astype(
-        np.int64
-    )
+    kernel = stored[f"{LAST}.matrix_q"].astype(np.int64).reshape(size, size, levels.shape[1], -1)
+    margin = size // 2
+    values = np.pad(levels.astype(np.int64) - params.zero_point, ((0, 0), (0, 0), (margin, margin), (margin, margin)))
+    windows = np.lib.stride_tricks.sliding_window_view(values, (size, size), axis=(2, 3))
+    sums = np.einsum("bchwyx,yxcm->bhwm", windows, kernel)
     expected = sums * stored[f"{LAST}.sum_scale"].astype(np.float64) + stored[f"{LAST}.sum_offset"]
     expected = expected.reshape(output.shape)
     assert np.unique(output).size > 256  # no 8-bit tensor holds so many values
     np.testing.assert_allclose(output, expected, rtol=0, atol=FLOAT_ROUNDING * np.abs(expected).max())
 
 
+def test_its_weights_stay_where_they_were(written) -> None:
+    """Each pixel of a window meets the weights that the convolution has for it, to half a step."""
+    model, _, graph, _ = written
+    node = next(node for node in model.graph.node if node.name == LAST)
+    weight = GraphIndex(model).constant(node.input[1])
+    stored = {tensor.name: onnx.numpy_helper.to_array(tensor) for tensor in graph.model.graph.initializer}
+    source_scale = graph.tensors[node.input[0]][1].scale
+    count, channels, *size = weight.shape
+    matrix = stored[f"{LAST}.matrix_q"].reshape(*size, channels, count)
+    steps = stored[f"{LAST}.sum_scale"] / source_scale
+    found = matrix.transpose(3, 2, 0, 1) * steps.reshape(-1, 1, 1, 1)
+    assert (np.abs(found - weight) <= 0.501 * steps.reshape(-1, 1, 1, 1)).all()
+
+
 def test_the_runtime_computes_it_in_8_bits(written, toy_feeds) -> None:
-    _, _, graph = written
+    _, _, graph, size = written
     nodes = profile_model(graph.model.SerializeToString(), toy_feeds[:1])
     product = next(node for node in nodes if node.name == LAST)
     assert product.operator == "MatMulInteger"
-    assert product.multiply_adds == 2 * 4 * 16 * 48 * 12  # cells x channels x anchors x columns
+    assert product.multiply_adds == 2 * 4 * 16 * size * size * 48 * 12  # cells x channels x anchors x columns
     assert int8_share(nodes) == 1.0
 
 
 def test_its_bias_is_corrected_like_any_other(written, toy_feeds) -> None:
-    model, placement, graph = written
+    model, placement, graph, _ = written
     shifts = bias_shifts(model, graph.model, placement, toy_feeds[:2])
     assert shifts[LAST].shape == (48 * 12,)
     assert np.abs(shifts[LAST]).max() > 0

@@ -39,7 +39,7 @@ def tiny(monkeypatch: pytest.MonkeyPatch) -> Preset:
     """The compact preset 16 channels wide on a small image, known by the name ``tiny``."""
     compact = PRESETS["compact"]
     network = NetworkShape(
-        18, (16, 16, 16), NeckShape(16, 8, 8, 4, 16, 16, 16, (16, 16), 96), HeadShape(16, 16, 1, 0.1, 0.01)
+        18, (16, 16, 16), NeckShape(16, 8, 8, 4, 16, 16, 16, (16, 16), 96), HeadShape(16, 16, 1, 1, 0.1, 0.01)
     )
     rig = dataclasses.replace(compact.rig, focal_px=260.0)
     chosen = dataclasses.replace(compact, name="tiny", input_size_hw=(96, 448), rig=rig, network=network)
@@ -250,7 +250,12 @@ def test_a_resumed_run_keeps_its_length_and_goes_back_before_its_cooldown(
 
 
 def test_a_run_says_what_it_starts_from(
-    drive: str, tiny: Preset, priors: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    drive: str,
+    tiny: Preset,
+    priors: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     first, second = tmp_path / "first", tmp_path / "second"
     assert train(drive, first, "--steps", 1, "--priors", priors) == 0
@@ -258,10 +263,14 @@ def test_a_run_says_what_it_starts_from(
     write_priors(tmp_path / "other.npz", tiny.classes, AnchorPriors(np.ones(shape, "f4"), np.ones(shape, "f4")))
     start, validation = first / "weights.safetensors", f"{drive}?limit=3"
     given = ("--start", start, "--steps", 1, "--validation", validation)
+    head = dataclasses.replace(tiny.network.head, box_final_kernel=3)
+    wider = dataclasses.replace(tiny, network=dataclasses.replace(tiny.network, head=head))
+    monkeypatch.setitem(PRESETS, "tiny", wider)
     capsys.readouterr()
     assert train(drive, second, *given, "--priors", tmp_path / "other.npz", "--ablate", "no-disparity-supervision") == 0
     told = capsys.readouterr().err
     assert "was trained with other priors" in told and "the same ablations" in told
+    assert "smaller kernels in head.regression.3.weight:" in told
     assert "3 of 3 validation frames train, too" in told
     origin = json.loads((second / "run.json").read_text())["stages"][0]["origin"]
     assert origin == {

@@ -48,7 +48,7 @@ def small_preset() -> Preset:
     """The compact preset's structure, a few channels wide."""
     compact = preset("compact")
     neck = NeckShape(16, 8, 8, 4, 16, 16, 16, (16, 16), 96)
-    network = NetworkShape(18, (16, 16, 16), neck, HeadShape(16, 16, 1, 0.0, 0.01))
+    network = NetworkShape(18, (16, 16, 16), neck, HeadShape(16, 16, 1, 1, 0.0, 0.01))
     training = replace(compact.training, frozen_backbone_parts=0)
     return replace(
         compact, input_size_hw=(96, 448), rig=replace(compact.rig, focal_px=260.0), network=network, training=training

@@ -66,7 +66,7 @@ def tiny_preset() -> Preset:
     """The compact preset's structure, 16 channels wide, without dropout."""
     compact = preset("compact")
     neck = NeckShape(16, 8, 8, 4, 16, 16, 16, (16, 16), 96)
-    network = NetworkShape(18, (16, 16, 16), neck, HeadShape(16, 16, 1, 0.0, 0.01))
+    network = NetworkShape(18, (16, 16, 16), neck, HeadShape(16, 16, 1, 1, 0.0, 0.01))
     training = replace(compact.training, gradient_clip_norm=0.1)
     rig = replace(compact.rig, focal_px=260.0)
     return replace(compact, input_size_hw=(96, 448), rig=rig, network=network, training=training)
