@@ -16,8 +16,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import onnx
+from numpy.typing import NDArray
+from onnx import helper
 
 from quantize.graph import GraphIndex, attribute
+
+_TO_THE_END = int(np.iinfo(np.int64).max)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,3 +92,46 @@ def window_of(node: onnx.NodeProto, index: GraphIndex) -> Window | None:
         return None
     above, left, below, right = attribute(node, "pads", [0, 0, 0, 0]) if padding == b"NOTSET" else (0, 0, 0, 0)
     return Window(*weight.shape[2:], (above, left, below, right))
+
+
+def window_nodes(
+    window: Window, pixels: str, zero_point: str, *, name: str
+) -> tuple[list[onnx.NodeProto], dict[str, NDArray[np.int64]], str]:
+    """Lays the pixels that each sum reads side by side: [B, H, W, C] to [B, H', W', rows x columns x C].
+
+    Args:
+        window: What is read.
+        pixels: Name of the 8-bit tensor.
+        zero_point: Name of its zero point, which stands beyond the image.
+        name: Of the convolution, before all names that are made.
+
+    Returns:
+        Nodes, constants by name, and the name of the result; nothing and ``pixels`` where a window is a pixel.
+    """
+    nodes: list[onnx.NodeProto] = []
+    constants: dict[str, NDArray[np.int64]] = {}
+
+    def constant(part: str, values: list[int]) -> str:
+        constants[f"{name}.{part}"] = np.array(values, np.int64)
+        return f"{name}.{part}"
+
+    def add(operator: str, inputs: list[str], part: str, **attributes: int) -> str:
+        output = f"{name}/{part}"
+        nodes.append(helper.make_node(operator, inputs, [output], name=output, **attributes))
+        return output
+
+    if any(window.margins):
+        above, left, below, right = window.margins
+        margins = constant("margins", [0, above, left, 0, 0, below, right, 0])
+        pixels = add("Pad", [pixels, margins, zero_point], "padded")
+    if window.rows == window.columns == 1:
+        return nodes, constants, pixels
+    axes = constant("window_axes", [1, 2])
+    shifted = []
+    for row, column in np.ndindex(window.rows, window.columns):
+        begin = constant(f"from_{row}_{column}", [row, column])
+        end = constant(
+            f"to_{row}_{column}", [row - window.rows + 1 or _TO_THE_END, column - window.columns + 1 or _TO_THE_END]
+        )
+        shifted.append(add("Slice", [pixels, begin, end, axes], f"pixels_{row}_{column}"))
+    return nodes, constants, add("Concat", shifted, "windows", axis=3)

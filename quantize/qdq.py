@@ -26,7 +26,7 @@ from onnx import helper, numpy_helper
 
 from calib.methods import Range
 from quantize.correlation import qlinear_stereo_correlation_function
-from quantize.ends import Window, window_of
+from quantize.ends import window_nodes, window_of
 from quantize.errors import QuantizeError
 from quantize.graph import GraphIndex, attribute, prune
 from quantize.placement import Placement, activations, moves
@@ -50,7 +50,6 @@ Levels = Mapping[str, NDArray[np.int8]]
 """Convolution -> the levels of its weights, in their shape."""
 ChannelExtremes = Mapping[str, tuple[NDArray[np.float32], NDArray[np.float32]]]
 _PRODUCER = "edge quantize"
-_TO_THE_END = np.iinfo(np.int64).max
 _MIDDLE = {"uint8": 128, "int8": 0}
 
 
@@ -279,36 +278,16 @@ class _Writer:
         self._nodes.append(
             helper.make_node("Transpose", [self._levels(node.input[0])], [pixels], name=pixels, perm=[0, 2, 3, 1])
         )
-        windows = self._windows(node.name, pixels, window, zero_point)
+        laid_out, constants, windows = window_nodes(window, pixels, zero_point, name=node.name)
+        for constant, value in constants.items():
+            self._constant(constant, value)
         self._nodes += [
+            *laid_out,
             helper.make_node("MatMulInteger", [windows, matrix, zero_point], [sums], name=node.name),
             helper.make_node("Cast", [sums], [real], name=real, to=onnx.TensorProto.FLOAT),
             helper.make_node("Mul", [real, factors], [scaled], name=scaled),
             helper.make_node("Add", [scaled, offsets], [result], name=f"{node.name}/Add"),
         ]
-
-    def _windows(self, name: str, pixels: str, window: Window, zero_point: str) -> str:
-        """[B, H, W, C] to [B, H', W', rows x columns x C]: the pixels that each sum reads, zeros beyond the image."""
-        if any(window.margins):
-            above, left, below, right = window.margins
-            margins = self._constant(f"{name}.margins", np.array([0, above, left, 0, 0, below, right, 0], np.int64))
-            padded = f"{name}/padded"
-            self._nodes.append(helper.make_node("Pad", [pixels, margins, zero_point], [padded], name=padded))
-            pixels = padded
-        if window.rows == window.columns == 1:
-            return pixels
-        axes = self._constant(f"{name}.window_axes", np.array([1, 2], np.int64))
-        shifted = []
-        for row, column in np.ndindex(window.rows, window.columns):
-            place = f"{row}_{column}"
-            ends = [row - window.rows + 1 or _TO_THE_END, column - window.columns + 1 or _TO_THE_END]
-            start = self._constant(f"{name}.from_{place}", np.array([row, column], np.int64))
-            end = self._constant(f"{name}.to_{place}", np.array(ends, np.int64))
-            shifted.append(f"{name}/pixels_{place}")
-            self._nodes.append(helper.make_node("Slice", [pixels, start, end, axes], shifted[-1:], name=shifted[-1]))
-        windows = f"{name}/windows"
-        self._nodes.append(helper.make_node("Concat", shifted, [windows], name=windows, axis=3))
-        return windows
 
     def _weight_and_bias(self, node: onnx.NodeProto) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
         """A convolution's weight, and its bias with what corrects it."""
