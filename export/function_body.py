@@ -19,7 +19,10 @@ import onnx.parser
 
 from runtime.contracts.correlation import DOMAIN, MAX_DISPARITY, STEREO_CORRELATION
 
-SIZES = """
+_BODY = """
+<domain: "{domain}", opset_import: ["" : {opset}]>
+{name} <{attribute}> (left, right) => (volume)
+{{
     zero = Constant <value_ints: ints = [0]> ()
     one = Constant <value_ints: ints = [1]> ()
     minus_one = Constant <value_ints: ints = [-1]> ()
@@ -36,10 +39,13 @@ SIZES = """
     skewed_width = Add (width, disparities)
     row_shape = Concat <axis: int = 0> (batch, height, minus_one)
     skewed_shape = Concat <axis: int = 0> (batch, height, width, skewed_width)
-"""
-"""Statements for `max_disparity` and the views' shapes."""
 
-BAND = """
+    before = Concat <axis: int = 0> (zero, zero, zero, largest, zero, zero, zero, zero)
+    right_padded = Pad (right, before)
+    left_columns = Transpose <perm: ints = [0, 2, 3, 1]> (left)
+    right_rows = Transpose <perm: ints = [0, 2, 1, 3]> (right_padded)
+    all_pairs = MatMul (left_columns, right_rows)
+
     end_to_end = Reshape (all_pairs, row_shape)
     behind = Concat <axis: int = 0> (zero, zero, zero, zero, zero, width)
     with_tail = Pad (end_to_end, behind)
@@ -47,29 +53,10 @@ BAND = """
     band = Slice (skewed, largest, before_first, last_axis, minus_one)
 
     sums = Transpose <perm: ints = [0, 3, 1, 2]> (band)
-"""
-"""Statements from ``all_pairs`` [B, H, W, W + D - 1], the scores of all column pairs, to ``sums`` [B, D, H, W]."""
-
-_BODY = (
-    """
-<domain: "{domain}", opset_import: ["" : {opset}]>
-{name} <{attribute}> (left, right) => (volume)
-{{"""
-    + SIZES
-    + """
-    before = Concat <axis: int = 0> (zero, zero, zero, largest, zero, zero, zero, zero)
-    right_padded = Pad (right, before)
-    left_columns = Transpose <perm: ints = [0, 2, 3, 1]> (left)
-    right_rows = Transpose <perm: ints = [0, 2, 1, 3]> (right_padded)
-    all_pairs = MatMul (left_columns, right_rows)
-"""
-    + BAND
-    + """
     channel_count = CastLike (channels, sums)
     volume = Div (sums, channel_count)
 }}
 """
-)
 
 
 def stereo_correlation_function(opset_version: int) -> onnx.FunctionProto:

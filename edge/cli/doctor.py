@@ -88,7 +88,7 @@ def _processor() -> list[Finding]:
     elif cpu.has_int8_dot_products:
         rows.append(Finding("instructions", " ".join(cpu.flags)))
     else:
-        slow = "no INT8 dot products: INT8 gains less here; quantize with --target generic or x86-avx2"
+        slow = "no INT8 dot products: INT8 gains less here"
         rows.append(Finding("instructions", " ".join(cpu.flags) or "none known", State.OPTIONAL, slow))
     return [*rows, _target()]
 

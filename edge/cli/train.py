@@ -126,7 +126,7 @@ def train_command(
         typer.Option(
             is_eager=True,
             callback=read_config,
-            help="TOML file of options and [[stages]]; options given here go first.",
+            help="TOML file of options and of stages (tables named stages); options given here go first.",
         ),
     ] = None,
 ) -> None:
@@ -153,7 +153,7 @@ def train_command(
     from edge.training.frame_changes import frame_changes
     from edge.training.loop import train
     from edge.training.methods import with_method
-    from edge.training.origin import origin_record, overlap_notes, priors_origin, start_notes
+    from edge.training.origin import origin_card, origin_record, overlap_notes, priors_origin, start_notes
     from edge.training.precision import wants_mixed_precision
     from edge.training.rig import rig_metadata, with_rig_of_data
     from edge.training.run_record import RunSettings, check_same_run, length_before, write_settings
@@ -164,6 +164,7 @@ def train_command(
     from edge.training.validation import Validation
     from edge.training.widen import widened
     from runtime.contracts.errors import CheckpointError, EdgeError
+    from runtime.model_folder import CARD_FILE
     from runtime.sources.factory import open_sequence
 
     chosen = find_preset(preset) if method is None else with_method(find_preset(preset), method)
@@ -272,6 +273,9 @@ def train_command(
             record = origin_record(method=method, priors=origin, start=start, backbone=backbone, validation=validation)
             write_settings(out, chosen, settings, dict(zip(dataset, weights, strict=True)), origin=record)
             keep_priors(out)
+            card = origin_card(start=start, priors=priors, origin=origin)
+            if card is not None and not resume:
+                (out / CARD_FILE).write_text(card, encoding="utf-8")
         progress = TrainProgress(settings, samples=frames.epoch_length, shown=ranks.writes)
         notes = start_notes(start, chosen, tables, backbone=backbone, resume=resume, grown=grown)
         if measured is not None:

@@ -1,4 +1,4 @@
-"""What a run begins with: where its priors and weights come from, for ``run.json`` and for the user's eye."""
+"""What a run begins with: where its priors and weights come from, for ``run.json``, the user's eye and the card."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from edge.detector.weights import check_ablations, check_priors, has_disparity_b
 from edge.zoo.priors import BUNDLED_ORIGIN, bundled_priors
 from runtime.contracts.errors import CheckpointError
 from runtime.contracts.manifest import PRIORS_FILE, AnchorPriors, file_sha256
+from runtime.model_folder import CARD_FILE
 from runtime.sources.base import FrameSequence
 from runtime.sources.pairs import ImagePairs
 
@@ -58,6 +59,32 @@ def start_notes(
     if start is not None and preset.views == 2 and not has_disparity_branch(start):
         notes.append(f"{start} has no disparity branch, which training uses: it starts anew")
     return notes
+
+
+def origin_card(*, start: Path | None, priors: Path | None, origin: str) -> str | None:
+    """What the run's ``card.md`` says of what it began with: a licence of weights or priors goes on to what they teach.
+
+    Args:
+        start: weights that the run starts from.
+        priors: that were given.
+        origin: of the priors, see `priors_origin`.
+
+    Returns:
+        Text; None where nothing that it began with has a card or a licence.
+    """
+    names: dict[Path, list[str]] = {}
+    for file in (start, priors):
+        card = None if file is None else file.parent / CARD_FILE
+        if file is not None and card is not None and card.is_file():
+            names.setdefault(card, []).append(f"`{file.name}`")
+    parts = [f"Anchor priors: {origin}."] if origin == BUNDLED_ORIGIN else []
+    for card, files in names.items():
+        text = card.read_text(encoding="utf-8", errors="replace").strip()
+        parts.append(
+            f"Trained on from {' and '.join(files)}. Their licence holds for what came of them, too; the figures below "
+            f"are theirs, not those of the model that was trained. Their card:\n\n{text}"
+        )
+    return "\n\n".join(parts) + "\n" if parts else None
 
 
 def overlap_notes(datasets: Sequence[FrameSequence], validation: FrameSequence) -> list[str]:

@@ -249,6 +249,22 @@ def test_a_resumed_run_keeps_its_length_and_goes_back_before_its_cooldown(
     assert "checkpoint-hold.pt is not there" in capsys.readouterr().err
 
 
+def test_the_licence_of_the_start_goes_on_to_the_model(drive: str, tiny: Preset, priors: Path, tmp_path: Path) -> None:
+    first, second, model = tmp_path / "first", tmp_path / "second", tmp_path / "model"
+    assert train(drive, first, "--steps", 1, "--priors", priors) == 0
+    (first / "card.md").write_text("Licence: of the start.\n")
+    start = first / "weights.safetensors"
+    assert train(drive, second, "--steps", 1, "--start", start, "--priors", first / "priors.npz") == 0
+    card = (second / "card.md").read_text()
+    assert "from `weights.safetensors` and `priors.npz`." in card and card.count("Licence: of the start.") == 1
+    (second / "card.md").write_text(card + "What I added.\n")
+    assert train(drive, second, "--steps", 2, "--start", start, "--resume") == 0
+    assert "What I added." in (second / "card.md").read_text()
+    export = ("export", "--preset", tiny.name, "--checkpoint", second / "weights.safetensors", "--out", model)
+    assert edge(*export, "--source", f"{drive}?limit=1", "--frames", 1) == 0
+    assert "Licence: of the start." in (model / "card.md").read_text()
+
+
 def test_a_run_says_what_it_starts_from(
     drive: str,
     tiny: Preset,
@@ -272,6 +288,7 @@ def test_a_run_says_what_it_starts_from(
     assert "was trained with other priors" in told and "the same ablations" in told
     assert "smaller kernels in head.regression.3.weight:" in told
     assert "3 of 3 validation frames train, too" in told
+    assert not (second / "card.md").exists()  # nothing that it began with has one
     origin = json.loads((second / "run.json").read_text())["stages"][0]["origin"]
     assert origin == {
         "method": "preset",
