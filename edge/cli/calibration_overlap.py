@@ -59,7 +59,13 @@ def warn_of_calibrated(models: Sequence[Path], source: Any, *, uri: str) -> None
     for path in models:
         chosen = read_choice(path)
         if chosen is not None:
-            warn_of_overlap(chosen, source, name=public_name(uri), tell=lambda line, path=path: warn(f"{path}: {line}"))
+            warn_of_overlap(
+                chosen,
+                source,
+                name=public_name(uri),
+                use_cache=False,
+                tell=lambda line, path=path: warn(f"{path}: {line}"),
+            )
 
 
 def warn_of_overlap(

@@ -156,11 +156,12 @@ def _egl() -> list[Finding]:
 def _cameras() -> list[Finding]:
     if not _installed("depthai"):
         return [Finding("OAK cameras", "not looked for", State.OPTIONAL, "pip install '.[oak]'")]
-    try:
-        from runtime.sources.oak import import_depthai
+    from runtime.contracts.errors import MissingExtraError
+    from runtime.sources.oak import import_depthai
 
+    try:
         found = import_depthai().Device.getAllAvailableDevices()
-    except (ImportError, RuntimeError) as error:
+    except (ImportError, RuntimeError, MissingExtraError) as error:
         return [Finding("OAK cameras", f"depthai does not run: {error}", State.OPTIONAL, "pip install '.[oak]' again")]
     if not found:
         return [Finding("OAK cameras", "none connected", State.OPTIONAL)]

@@ -32,7 +32,10 @@ def export_command(
     ] = "compact",
     priors: Annotated[
         Optional[Path],  # noqa: UP045 - typer reads this form
-        typer.Option(help="Priors file, or folder of it or of the official tables; default: beside the checkpoint, else KITTI's for paper and mono on its rig."),
+        typer.Option(
+            help="Priors file, or folder of it or of the official tables; default: beside the checkpoint, else KITTI's "
+            "for paper and mono on its rig."
+        ),
     ] = None,
     confidence: Annotated[
         Optional[Path],  # noqa: UP045

@@ -205,8 +205,9 @@ def train_command(
         detector, grown = build_detector(chosen), ()
         if backbone is not None:
             load_backbone(detector, backbone)
-        if start is not None:
-            weights_to_start, grown = widened(read_checkpoint(start), detector)
+        begun = None if resume else start
+        if begun is not None:
+            weights_to_start, grown = widened(read_checkpoint(begun), detector)
             load_weights(detector, weights_to_start)
         frames = MixedFrames(
             sources,
@@ -270,14 +271,14 @@ def train_command(
             back_to_hold(out)
         wait_for_all(ranks)
         if ranks.writes:  # from here on the folder is a run's
-            record = origin_record(method=method, priors=origin, start=start, backbone=backbone, validation=validation)
+            record = origin_record(method=method, priors=origin, start=begun, backbone=backbone, validation=validation)
             write_settings(out, chosen, settings, dict(zip(dataset, weights, strict=True)), origin=record)
             keep_priors(out)
-            card = origin_card(start=start, priors=priors, origin=origin)
-            if card is not None and not resume:
+            card = None if resume else origin_card(start=begun, priors=priors, origin=origin)
+            if card is not None:
                 (out / CARD_FILE).write_text(card, encoding="utf-8")
         progress = TrainProgress(settings, samples=frames.epoch_length, shown=ranks.writes)
-        notes = start_notes(start, chosen, tables, backbone=backbone, resume=resume, grown=grown)
+        notes = start_notes(begun, chosen, tables, backbone=backbone, resume=resume, grown=grown)
         if measured is not None:
             notes += overlap_notes(sources, measured)
         progress.tell(f"priors: {origin}", *(f"note: {text}" for text in notes))

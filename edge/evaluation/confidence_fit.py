@@ -15,7 +15,7 @@ from runtime.contracts.errors import EdgeError
 from runtime.contracts.geometry import FloatArray
 from runtime.contracts.kitti import KITTI_CLASSES
 from runtime.contracts.objects import Detections3D, Objects3D
-from runtime.refinement import Refined, confidence_features, probability
+from runtime.refinement import Refined, confidence_features, no_surer, probability
 
 FEWEST_RIGHT = 50
 """Boxes of a class that must be right, and as many wrong: fewer say little of ten weights."""
@@ -86,7 +86,8 @@ def fit_confidence(
     told = np.zeros(len(target))
     for part in (0, 1):
         others, own = frame % 2 != part, frame % 2 == part
-        told[own] = probability(table[own], _learn(table[others], target[others], importance[others]))
+        learned = probability(table[own], _learn(table[others], target[others], importance[others]))
+        told[own] = no_surer(learned, score[own])
     return ConfidenceFit(
         name=name,
         weights=tuple(float(value) for value in _learn(table, target, importance)),

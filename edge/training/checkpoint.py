@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,8 @@ from edge.training.distributed import Ranks, gathered
 from runtime.contracts.errors import CheckpointError
 
 CHECKPOINT_FILE, HOLD_CHECKPOINT_FILE = "checkpoint.pt", "checkpoint-hold.pt"
-COOLED_CHECKPOINT_FILE = "checkpoint-cooled.pt"
-"""What `back_to_hold` puts aside."""
+BEST_FILE = "best.safetensors"
+"""Weights of the best validation."""
 
 
 class AveragedModel:
@@ -74,16 +75,20 @@ def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
 
 
 def back_to_hold(run_dir: Path) -> None:
-    """Let a run go on from before its cooldown; the checkpoint that it had lies beside as ``checkpoint-cooled.pt``.
+    """Let a run go on from before its cooldown.
 
-    A run that has not gone on since keeps what lies there.
+    The checkpoint that it had lies beside as ``checkpoint-STEP.pt``, and what was best so far as
+    ``best-STEP.safetensors``: later validations count anew.
 
     Raises:
         CheckpointError: the run kept none, since it has had no cooldown.
     """
     hold, now = load_hold(run_dir), load_checkpoint(run_dir / CHECKPOINT_FILE)
-    if now["step"] > hold["step"]:
-        save_checkpoint(run_dir / COOLED_CHECKPOINT_FILE, now)
+    step = int(now["step"])
+    if step > int(hold["step"]):
+        save_checkpoint(run_dir / f"checkpoint-{step}.pt", now)
+        if (run_dir / BEST_FILE).is_file():
+            shutil.copyfile(run_dir / BEST_FILE, run_dir / f"best-{step}.safetensors")
     save_checkpoint(run_dir / CHECKPOINT_FILE, hold)
 
 

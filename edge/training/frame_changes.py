@@ -13,6 +13,7 @@ import numpy as np
 
 from edge.detector.presets import Preset
 from edge.training.camera_faults import ViewFaults, draw_faults
+from edge.training.ground_truth import with_every_alpha
 from edge.training.object_bank import ObjectBank
 from edge.training.paste import CLASS_SHARES, ObjectPaster
 from edge.training.zoom import draw_zoom, zoomed
@@ -49,6 +50,7 @@ class FrameChanges:
             seed, position: of the run.
             labelled: False where labels are not known: nothing is pasted.
         """
+        objects = with_every_alpha(objects, frame.geometry.P2)
         if self.paster is not None and labelled:
             frame, objects = self.paster.paste(frame, objects, np.random.default_rng([seed, position, PASTE]))
         if self.zoom:

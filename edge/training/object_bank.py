@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from edge.training.disparity_targets import grey_of
+from edge.training.ground_truth import with_every_alpha
 from edge.training.object_masks import ViewMask, agreed_mask, disparity_at, look_for_object
 from runtime.contracts.geometry import FloatArray, StereoGeometry
 from runtime.contracts.objects import Objects3D, box_corners
@@ -191,7 +192,7 @@ def cut_out(
         box_in_left_image=box,
         center_in_camera=objects.center_in_camera[row],
         size_hwl=objects.size_hwl[row],
-        alpha_rad=float(objects.alpha_rad[row]),
+        alpha_rad=float(with_every_alpha(objects, geometry.P2).alpha_rad[row]),
         geometry=geometry,
         surroundings_bgr=around.mean(axis=0) if len(around) else np.full(3, 96.0),
     )

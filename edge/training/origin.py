@@ -53,7 +53,7 @@ def start_notes(
                 check(start)
         except CheckpointError as error:
             notes.append(f"{error}, or let the run learn the difference")
-    if grown and not resume:
+    if grown:
         names = ", ".join(grown)
         notes.append(f"{start} has smaller kernels in {names}: each begins in the middle of the larger one's zeros")
     if start is not None and preset.views == 2 and not has_disparity_branch(start):

@@ -133,11 +133,19 @@ def _last_record(run_dir: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         record = json.loads(file.read_text())
         settings = record["stages"][-1]["settings"]
         int(settings["steps"]), int(settings["seed"]), int(settings["batch_size"])
-        return dict(record["preset"]), dict(settings)
+        return _renamed(record["preset"]), dict(settings)
     except (OSError, ValueError, KeyError, IndexError, TypeError):
         raise CheckpointError(
             f"{file} does not describe a run, expected one of `edge train`; start a new run"
         ) from None
+
+
+def _renamed(preset: dict[str, Any]) -> dict[str, Any]:
+    """A recorded preset by today's names: the kernel of both last layers was one field."""
+    head = dict(preset["network"]["head"])
+    if "final_kernel" in head:
+        head["class_final_kernel"] = head["box_final_kernel"] = head.pop("final_kernel")
+    return preset | {"network": preset["network"] | {"head": head}}
 
 
 def _differences(before: Any, now: Any, where: str) -> list[tuple[str, Any, Any]]:

@@ -17,6 +17,7 @@ from edge.training.schedule import steps_of
 from edge.zoo.priors import bundled_priors
 from runtime.contracts.errors import CheckpointError, EdgeError, OutputError
 from runtime.contracts.manifest import PRIORS_FILE, AnchorPriors, file_sha256, read_priors, write_priors
+from runtime.model_folder import CARD_FILE
 from runtime.sources.base import FrameSequence
 
 UNKEPT_PRIORS_FILE = f"{PRIORS_FILE}.part"
@@ -98,8 +99,8 @@ def open_run(out: Path, *, resume: bool, before_cooldown: bool = False) -> int:
 
 
 def _left_by_a_failed_start(found: set[str]) -> set[str]:
-    """What a run may begin anew over; ``priors.npz`` alone may be somebody's own, beside ``run.json`` it is a run's."""
-    return {UNKEPT_PRIORS_FILE, SETTINGS_FILE, *([PRIORS_FILE] if SETTINGS_FILE in found else [])}
+    """What a run may begin anew over; priors or a card may be somebody's own, but beside ``run.json`` they are its."""
+    return {UNKEPT_PRIORS_FILE, SETTINGS_FILE, *([PRIORS_FILE, CARD_FILE] if SETTINGS_FILE in found else [])}
 
 
 def run_priors(out: Path, preset: Preset, sources: Sequence[FrameSequence], *, given: Path | None) -> AnchorPriors:

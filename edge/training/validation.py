@@ -13,6 +13,7 @@ from torch import nn
 from edge.detector.presets import Preset
 from edge.detector.weights import save_weights
 from edge.evaluation.kitti_ap import Evaluation, evaluate
+from edge.training.checkpoint import BEST_FILE
 from edge.training.distributed import ALONE, Ranks, gathered, spread
 from runtime.contracts.errors import SourceError
 from runtime.contracts.manifest import AnchorPriors
@@ -21,7 +22,7 @@ from runtime.preprocess import network_view, prepare
 from runtime.readout import Readout
 from runtime.sources.base import FrameSequence
 
-VALIDATION_FILE, BEST_FILE = "validation.jsonl", "best.safetensors"
+VALIDATION_FILE = "validation.jsonl"
 MODERATE = 1
 
 

@@ -4,6 +4,7 @@ from runtime.refinement.confidence import (
     FEATURES,
     check_confidence,
     confidence_features,
+    no_surer,
     probability,
     with_confidence,
 )
@@ -19,6 +20,7 @@ __all__ = [
     "Refined",
     "check_confidence",
     "confidence_features",
+    "no_surer",
     "probability",
     "refine_depths",
     "refiner",

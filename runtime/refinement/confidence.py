@@ -73,8 +73,7 @@ def probability(features: FloatArray, weights: FloatArray) -> FloatArray:
 def with_confidence(refined: Refined, weights: Mapping[str, Sequence[float]], image_width: int) -> Detections3D:
     """The boxes with the probabilities as scores.
 
-    A box that the network itself doubts, with less than `OCCLUDER_SCORE`, gets no more than the network's score: a
-    stream decodes no such boxes, and what it shows must not depend on the score that was asked for.
+    A box that the network itself doubts gets no more than the network's score, see `no_surer`.
 
     Args:
         refined: boxes with the network's scores.
@@ -89,7 +88,13 @@ def with_confidence(refined: Refined, weights: Mapping[str, Sequence[float]], im
     for index, name in enumerate(found.class_names):
         rows = found.class_id == index
         if name in weights and rows.any():
-            score[rows] = probability(features[rows], np.array(weights[name]))
-    doubted = found.score < OCCLUDER_SCORE
-    score[doubted] = np.minimum(score, found.score)[doubted]
+            score[rows] = no_surer(probability(features[rows], np.array(weights[name])), found.score[rows])
     return dataclasses.replace(found, score=score)
+
+
+def no_surer(told: FloatArray, network: FloatArray) -> FloatArray:
+    """(N,) probabilities, but no more than the network's score where that is below `OCCLUDER_SCORE`.
+
+    A stream decodes no such boxes, and what it shows must not depend on the score that was asked for.
+    """
+    return np.where(network < OCCLUDER_SCORE, np.minimum(told, network), told)

@@ -201,8 +201,10 @@ def import_depthai() -> Any:
     os.environ.setdefault("DEPTHAI_LEVEL", "off")
     try:
         import depthai
-    except ModuleNotFoundError:
-        raise MissingExtraError("found no depthai, expected it for an OAK camera; run: pip install '.[oak]'") from None
+    except ModuleNotFoundError as error:
+        raise MissingExtraError(
+            f"found no {error.name}, expected it for an OAK camera; run: pip install '.[oak]'"
+        ) from None
     return depthai
 
 

@@ -55,10 +55,17 @@ def test_a_broken_package_is_a_row_of_the_table(tiny_model: Path, monkeypatch: p
     finding = doctor._run_model(tiny_model)
     assert finding.state is doctor.State.BROKEN and "runtime.detector" in finding.found
 
-    def broken() -> None:
-        raise ImportError("libusb is missing")
 
+@pytest.mark.parametrize(
+    ("code", "found"),
+    [("raise ImportError('libusb is missing')", "libusb is missing"), ("import none_such", "found no none_such")],
+)
+def test_a_broken_depthai_is_a_row_of_the_table(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, found: str
+) -> None:
+    (tmp_path / "depthai.py").write_text(code)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "depthai", raising=False)
     monkeypatch.setattr(doctor, "_installed", lambda name: True)
-    monkeypatch.setattr("runtime.sources.oak.import_depthai", broken)
     (row,) = doctor._cameras()
-    assert row.state is doctor.State.OPTIONAL and "libusb is missing" in row.found
+    assert row.state is doctor.State.OPTIONAL and found in row.found

@@ -203,7 +203,9 @@ def test_what_may_be_begun_anew_and_what_may_not(tmp_path: Path) -> None:
         (("priors.npz.part",), True),
         (("priors.npz", "run.json"), True),  # stopped before the first step
         (("priors.npz",), False),  # of `edge priors`, perhaps
+        (("priors.npz", "run.json", "card.md"), True),
         (("priors.npz", "run.json", "log.csv"), False),
+        (("card.md",), False),
         (("run.json", "mine"), False),
     ):
         out = tmp_path / "-".join(("run", *names))
@@ -235,14 +237,19 @@ def test_a_resumed_run_keeps_its_length_and_goes_back_before_its_cooldown(
     assert "training.frozen_backbone_parts" in capsys.readouterr().err
     capsys.readouterr()
     assert train(drive, out, "--resume", "--before-cooldown", "--batch", 1) == 2
-    assert not (out / "checkpoint-cooled.pt").exists(), "a refused command leaves the run as it was"
+    assert not (out / "checkpoint-3.pt").exists(), "a refused command leaves the run as it was"
     assert torch.load(out / "checkpoint.pt", weights_only=True)["step"] == 3
     assert train(drive, out, "--resume", "--before-cooldown", "--cooldown", 2) == 0
-    assert torch.load(out / "checkpoint-cooled.pt", weights_only=True)["step"] == 3
+    assert torch.load(out / "checkpoint-3.pt", weights_only=True)["step"] == 3
     assert torch.load(out / "checkpoint.pt", weights_only=True)["step"] == 3
     stages = json.loads((out / "run.json").read_text())["stages"]
     assert [(stage["from_step"], stage["settings"]["steps"]) for stage in stages] == [(0, 3), (1, 3)]
     assert [row.split(",")[0] for row in (out / "log.csv").read_text().splitlines()[1:]] == ["3"]
+    (out / "best.safetensors").write_bytes(b"the best of four steps")
+    assert train(drive, out, "--resume", "--before-cooldown", "--steps", 4, "--cooldown", 0) == 0
+    assert train(drive, out, "--resume", "--before-cooldown", "--steps", 2, "--cooldown", 0) == 0
+    assert {path.name for path in out.glob("checkpoint-?.pt")} == {"checkpoint-3.pt", "checkpoint-4.pt"}
+    assert (out / "best-4.safetensors").read_bytes() == b"the best of four steps"
     bare = tmp_path / "bare"
     assert train(drive, bare, "--steps", 1, "--cooldown", 0, "--priors", priors) == 0
     assert train(drive, bare, "--resume", "--before-cooldown") == 2

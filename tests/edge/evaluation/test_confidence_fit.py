@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from edge.evaluation.confidence_fit import fit_confidence, judged_boxes
 from runtime.contracts.errors import EdgeError
 from runtime.contracts.kitti import parse_labels
 from runtime.contracts.objects import Detections3D, Objects3D
-from runtime.refinement import FEATURES, Refined
+from runtime.refinement import FEATURES, Refined, with_confidence
 
 WIDTH = 1000
 CLASSES = ("Car", "Pedestrian")
@@ -93,6 +95,19 @@ def test_weights_follow_what_tells_right_from_wrong() -> None:
     told = 1 / (1 + np.exp(-(-12.0 * 0.5 + fit.weights[-1] + weights["log depth"] * np.log(50.0)
                              + weights["log height"] * np.log(50.0) + weights["logit"] * np.log(4.0))))  # fmt: skip
     assert told == pytest.approx(0.5, abs=0.06)
+
+
+def test_what_the_fit_is_judged_by_is_what_models_say_of_doubted_boxes() -> None:
+    found, labels = drawn(200)
+    doubted = [
+        replace(item, detections=replace(item.detections, score=item.detections.score / 2)) for item in found
+    ]  # 0.4
+    fit = fit_confidence(doubted, labels, [WIDTH] * 200, "Car")
+    said = [with_confidence(item, {"Car": fit.weights}, WIDTH) for item in doubted]
+    told = np.concatenate([item.score for item in said])
+    right = np.concatenate(judged_boxes(labels, said)) > 0
+    assert told.max() <= 0.4
+    assert fit.loss_after == pytest.approx(-np.log(np.where(right, told, 1 - told)).mean(), rel=0.02)
 
 
 def test_too_little_to_learn_from() -> None:

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from edge.training.assign import match_anchors
+from edge.training.frame_changes import FrameChanges
 from edge.training.ground_truth import alpha_of_yaw, mirror_geometry, mirror_objects, with_every_alpha
 from edge.training.priors import anchor_statistics
+from runtime.contracts.frame import StereoFrame
 from runtime.contracts.geometry import StereoGeometry, project_to_image
 from runtime.contracts.kitti import MISSING_ALPHA_RAD, parse_labels
 from runtime.contracts.manifest import AnchorLayout
@@ -54,6 +56,17 @@ def test_an_angle_that_is_not_given_is_what_yaw_says() -> None:
     filled = with_every_alpha(bare, P2).alpha_rad
     assert filled.tolist() == [alpha_of_yaw(objects, P2).alpha_rad[0], 0.3]
     assert with_every_alpha(objects, P2) is objects
+
+
+def test_zooming_keeps_an_angle_that_is_not_given_what_yaw_says() -> None:
+    objects = parse_labels(LABEL)
+    frame = StereoFrame(*[np.zeros((375, 1242, 3), np.uint8)] * 2, 0.0, 0, "0", StereoGeometry(P2, P3, (1242, 375)))
+    changes = FrameChanges(zoom=1.0)
+    given = changes.of_scene(frame, alpha_of_yaw(objects, P2), seed=0, position=0)[1]
+    bare = replace(objects, alpha_rad=np.array([MISSING_ALPHA_RAD]))
+    filled = changes.of_scene(frame, bare, seed=0, position=0)[1]
+    assert filled.alpha_rad == pytest.approx(given.alpha_rad)
+    assert filled.center_in_camera != pytest.approx(objects.center_in_camera)
 
 
 def test_sizes_that_never_vary_have_a_spread() -> None:

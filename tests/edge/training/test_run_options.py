@@ -20,7 +20,7 @@ from edge.detector.network import StereoDetector  # noqa: E402
 from edge.detector.presets import with_frozen_backbone  # noqa: E402
 from edge.detector.weights import load_weights  # noqa: E402
 from edge.evaluation.kitti_ap import evaluate  # noqa: E402
-from edge.training.checkpoint import CHECKPOINT_FILE, AveragedModel, load_checkpoint  # noqa: E402
+from edge.training.checkpoint import BEST_FILE, CHECKPOINT_FILE, AveragedModel, load_checkpoint  # noqa: E402
 from edge.training.event_log import EVENTS_FOLDER, EventLog  # noqa: E402
 from edge.training.loop import train  # noqa: E402
 from edge.training.precision import wants_mixed_precision  # noqa: E402
@@ -29,7 +29,7 @@ from edge.training.samples import SampleMaker  # noqa: E402
 from edge.training.schedule import Schedule, cosine_rate, schedule_kind, steps_of  # noqa: E402
 from edge.training.start import run_steps  # noqa: E402
 from edge.training.stream import MixedFrames  # noqa: E402
-from edge.training.validation import BEST_FILE, VALIDATION_FILE, Validation, mean_moderate_ap  # noqa: E402
+from edge.training.validation import VALIDATION_FILE, Validation, mean_moderate_ap  # noqa: E402
 from runtime.contracts.errors import EdgeError, FrameError, SourceError  # noqa: E402
 from runtime.contracts.objects import Detections3D  # noqa: E402
 from runtime.refinement import refiner  # noqa: E402
@@ -193,6 +193,11 @@ def test_preset_with_fields_added_since_is_the_same_run(toy: ModuleType, tmp_pat
     check_same_run(tmp_path, chosen, **known)
     write_settings(tmp_path, chosen, SETTINGS, {"a": 1}, origin={"method": "preset"})
     assert json.loads(file.read_text())["stages"][1]["preset"] == json.loads(json.dumps(asdict(chosen)))
+    head = record["preset"]["network"]["head"]
+    head["final_kernel"] = head.pop("class_final_kernel")
+    del head["box_final_kernel"]
+    file.write_text(json.dumps(record))
+    check_same_run(tmp_path, chosen, **known)
     other = replace(chosen, training=replace(chosen.training, z_weight=1.0))
     with pytest.raises(EdgeError, match=r"with preset\.training\.z_weight 12\.0, found 1\.0"):
         check_same_run(tmp_path, other, **known)
