@@ -23,6 +23,7 @@ from onnxruntime.capi import onnxruntime_pybind11_state as ort_state
 
 from runtime.contracts.correlation import DOMAIN
 from runtime.contracts.errors import SessionError
+from runtime.machine import processor
 from runtime.native.library import is_wanted, library_path
 
 NOT_BUILT = (
@@ -37,7 +38,8 @@ _said: set[str] = set()
 _FATAL_ONLY = 4
 _EXACT_PRODUCTS = ("session.x64quantprecision", "1")
 """Without 8-bit dot products a processor adds two u8 x s8 products in 16 bits, which saturate. With this ONNX Runtime
-takes another kernel there, where weights exceed 7 bits; elsewhere it changes nothing."""
+takes another kernel where weights exceed 7 bits; on some processors with such products, too, at twice the time, so it is
+not asked for there."""
 _ORT_ERRORS: tuple[type[Exception], ...] = (
     *(kind for kind in vars(ort_state).values() if isinstance(kind, type) and issubclass(kind, Exception)),
     RuntimeError,
@@ -202,7 +204,8 @@ def _options(*, threads: int | None, profile: Path | None, optimize: bool, prepa
     options = ort.SessionOptions()
     options.log_severity_level = _FATAL_ONLY
     options.inter_op_num_threads = 1
-    options.add_session_config_entry(*_EXACT_PRODUCTS)
+    if not processor().has_int8_dot_products:
+        options.add_session_config_entry(*_EXACT_PRODUCTS)
     if not prepack:
         options.add_session_config_entry("session.disable_prepacking", "1")
     if threads is not None:

@@ -1,10 +1,11 @@
 """Named detectors: everything that tells one from another, as data (paper, section IV-A for ``paper``).
 
 ``paper`` is the published network with the official code's settings. ``compact`` is the same family cut to 7.87 M
-parameters and 13.4 G multiply-adds: ResNet-18, half the disparities at stride 8, narrower fusion, narrower branches of the
-head, a 1x1 convolution at the end of the class branch; it looks at the band of the image around the road at a fixed focal length, so that any camera shows it a car
-of 4 m at 20 m in the same number of pixels. ``mono`` is the official code's monocular sibling with its plain head: no
-right view, no neck, ResNet-101, cars alone, and angles that climb to fit the 2D box.
+parameters and 13.4 G multiply-adds: ResNet-18, half the disparities at stride 8, narrower fusion, narrower branches of
+the head, a 1x1 convolution at the end of the class branch; it looks at the band of the image around the road at a fixed
+focal length, so that any camera shows it a car of 4 m at 20 m in the same number of pixels. ``mono`` is the official
+code's monocular sibling with its plain head: no right view, no neck, ResNet-101, cars alone, and angles that climb to
+fit the 2D box.
 """
 
 from __future__ import annotations

@@ -14,6 +14,7 @@ import pytest
 import runtime.session
 from runtime.contracts.correlation import stereo_correlation
 from runtime.contracts.errors import SessionError
+from runtime.machine import Processor
 from runtime.native.library import library_path
 from runtime.session import open_session
 
@@ -213,6 +214,20 @@ def test_needs_no_workbench_package() -> None:
     code = "import sys, runtime.session; print({'torch', 'onnx', 'cv2'} & set(sys.modules))"
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert ran.stdout.strip() == "set()"
+
+
+@pytest.mark.parametrize(("flags", "exact"), [(("avx2",), True), (None, True), (("avx2", "avx512_vnni"), False)])
+def test_the_exact_kernel_is_asked_for_where_products_would_saturate(
+    monkeypatch: pytest.MonkeyPatch, flags: tuple[str, ...] | None, exact: bool
+) -> None:
+    monkeypatch.setattr(runtime.session, "processor", lambda: Processor("a CPU", "x86_64", 2, flags))
+    options = runtime.session._options(threads=None, profile=None, optimize=True, prepack=True)
+    key, value = runtime.session._EXACT_PRODUCTS
+    if exact:
+        assert options.get_session_config_entry(key) == value
+    else:
+        with pytest.raises(RuntimeError, match=key):
+            options.get_session_config_entry(key)
 
 
 def test_products_of_bytes_do_not_saturate() -> None:
