@@ -38,8 +38,8 @@ _said: set[str] = set()
 _FATAL_ONLY = 4
 _EXACT_PRODUCTS = ("session.x64quantprecision", "1")
 """Without 8-bit dot products a processor adds two u8 x s8 products in 16 bits, which saturate. With this ONNX Runtime
-takes another kernel where weights exceed 7 bits; on some processors with such products, too, at twice the time, so it is
-not asked for there."""
+takes another kernel where weights exceed 7 bits; on some processors with such products, too, at twice the time, so that
+it is asked for only where it is needed."""
 _ORT_ERRORS: tuple[type[Exception], ...] = (
     *(kind for kind in vars(ort_state).values() if isinstance(kind, type) and issubclass(kind, Exception)),
     RuntimeError,
