@@ -7,7 +7,7 @@ Runtime's own quantiser does not know that a Slice or a padded Concat shares its
 correlation, no range a column, and reads pixels as normalised floats: hence our own.
 
 A convolution that ends the network becomes a product of integers whose 32-bit sums are scaled to the output, so that
-the output is not rounded (`quantize.ends`). Another one gets one range a column of the network's output
+the output is not rounded (`quantize.ends`). One that leaves pixels out gets one range a column of the network's output
 (class logits, depth, size, ...), although its output tensor has a single scale: channel c is divided by its
 column's step, which goes into the weight's scale and the bias and leaves the 8-bit weights as they are; the
 DequantizeLinear behind it has the steps by channel.
