@@ -12,6 +12,7 @@ import logging
 import mmap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -204,7 +205,7 @@ def _options(*, threads: int | None, profile: Path | None, optimize: bool, prepa
     options = ort.SessionOptions()
     options.log_severity_level = _FATAL_ONLY
     options.inter_op_num_threads = 1
-    if not processor().has_int8_dot_products:
+    if not _has_int8_dot_products():
         options.add_session_config_entry(*_EXACT_PRODUCTS)
     if not prepack:
         options.add_session_config_entry("session.disable_prepacking", "1")
@@ -218,6 +219,12 @@ def _options(*, threads: int | None, profile: Path | None, optimize: bool, prepa
     if not optimize:
         options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_DISABLE_ALL
     return options
+
+
+@cache
+def _has_int8_dot_products() -> bool:
+    """Asked once: a search opens hundreds of sessions, and systems of many cores write long lists of them."""
+    return processor().has_int8_dot_products
 
 
 def _register_native(options: ort.SessionOptions) -> str | None:

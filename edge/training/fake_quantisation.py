@@ -68,8 +68,8 @@ class FakeQuantisation:
                 continue
             if isinstance(module, nn.Conv2d | nn.Conv3d):
                 self._round_weight(module)
-            for path, output, options in _outputs(name, module):
-                self._hook(output, self._point(path, **options))
+            for path, output, rectified in _outputs(name, module):
+                self._hook(output, self._point(path, rectified=rectified))
             if isinstance(module, StereoNeck):
                 self._round_neck(name, module)
             if isinstance(module, AnchorHead) and hasattr(detector, "neck"):
@@ -212,28 +212,28 @@ def rounded_weight(weight: torch.Tensor, *, bits: int = 8) -> torch.Tensor:
     return out
 
 
-def _outputs(name: str, module: nn.Module) -> Iterator[tuple[str, nn.Module, dict[str, Any]]]:
-    """Modules directly in ``module`` (or itself) whose output is stored in 8 bits: path, module, how."""
+def _outputs(name: str, module: nn.Module) -> Iterator[tuple[str, nn.Module, bool]]:
+    """Modules directly in ``module`` (or itself) whose output is stored in 8 bits: path, module, if 0 is lowest."""
     norms: dict[str, bool] = {}
     if isinstance(module, BasicBlock):
         norms = {"bn1": True, "bn2": False}
     elif isinstance(module, Bottleneck):
         norms = {"bn1": True, "bn2": True, "bn3": False}
     for norm, rectified in norms.items():
-        yield f"{name}.{norm}", getattr(module, norm), {"rectified": rectified}
+        yield f"{name}.{norm}", getattr(module, norm), rectified
     if isinstance(module, ResNetBackbone):  # rounding commutes with the maximum, on a quarter of the values
-        yield f"{name}.maxpool", module.maxpool, {}
+        yield f"{name}.maxpool", module.maxpool, False
     if isinstance(module, BasicBlock | Bottleneck | GhostExpansion):
-        yield name, module, {}
+        yield name, module, False
     if isinstance(module, ExpandAndMix) and isinstance(module.pool, nn.AvgPool2d):
-        yield f"{name}.pool", module.pool, {}
+        yield f"{name}.pool", module.pool, False
     if isinstance(module, DeformableConv2d):
-        yield f"{name}.conv_offset", module.conv_offset, {}
+        yield f"{name}.conv_offset", module.conv_offset, False
     if isinstance(module, nn.Sequential):
         yield from _in_sequence(name, module)
 
 
-def _in_sequence(name: str, layers: nn.Sequential) -> Iterator[tuple[str, nn.Module, dict[str, Any]]]:
+def _in_sequence(name: str, layers: nn.Sequential) -> Iterator[tuple[str, nn.Module, bool]]:
     """Of a convolution: what comes behind its norm; zero is its lowest level where a ReLU follows.
 
     Before a dropout, so that the range is that of the finished network. A last convolution alone ends the network.
@@ -248,4 +248,4 @@ def _in_sequence(name: str, layers: nn.Sequential) -> Iterator[tuple[str, nn.Mod
         elif not behind:
             continue
         rectified = bool(behind) and isinstance(behind[0][1], nn.ReLU)
-        yield f"{name}.{label}", layer, {"rectified": rectified}
+        yield f"{name}.{label}", layer, rectified

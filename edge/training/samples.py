@@ -26,7 +26,6 @@ from edge.training.ground_truth import (
     ground_truth,
     mirror_geometry,
     mirror_objects,
-    with_every_alpha,
 )
 from runtime.anchors import AnchorGrid, BoolArray, anchor_grid, usable_anchors, usable_by_class
 from runtime.contracts.errors import FrameError
@@ -94,7 +93,7 @@ class SampleMaker:
 
         Args:
             frame: a stereo pair with labels; a mono preset looks at its left view alone.
-            objects: its labels.
+            objects: its labels, every alpha filled in (`with_every_alpha`, which `FrameChanges.of_scene` does).
             draws: the sample's own generator.
             points_in_camera: (N, 3) metres, where `wants_points`.
             faults: of the two cameras, for what the network sees; not for what supervises disparity.
@@ -121,7 +120,6 @@ class SampleMaker:
             images = with_faults(images, faults[: len(images)])  # type: ignore[arg-type]
         geometry = view.geometry
         dont_care = view.to_network(objects.dont_care_boxes)
-        objects = with_every_alpha(objects, geometry.P2)
         if mirrored:
             images = [np.ascontiguousarray(image[:, ::-1]) for image in reversed(images)]
             geometry = mirror_geometry(geometry, exchange=len(seen) == 2)

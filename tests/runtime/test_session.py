@@ -221,6 +221,7 @@ def test_the_exact_kernel_is_asked_for_where_products_would_saturate(
     monkeypatch: pytest.MonkeyPatch, flags: tuple[str, ...] | None, exact: bool
 ) -> None:
     monkeypatch.setattr(runtime.session, "processor", lambda: Processor("a CPU", "x86_64", 2, flags))
+    monkeypatch.setattr(runtime.session, "_has_int8_dot_products", runtime.session._has_int8_dot_products.__wrapped__)
     options = runtime.session._options(threads=None, profile=None, optimize=True, prepack=True)
     key, value = runtime.session._EXACT_PRODUCTS
     if exact:
