@@ -4,7 +4,7 @@ What costs nothing at run time comes first: other ways to write the same placeme
 are measured before any layer is given back, and the best of them is what the search goes on with.
 
 The search knows nothing of accuracy. It is handed a function that builds a model with given layers in
-float, one that measures a model, and one that turns two measurements into points lost. It doubles the
+float, one that measures a model, and a budget that tells what one lost against another. It doubles the
 number of layers given back, worst first, until the budget holds, then halves the last step to find how few
 are enough. Noise ranks layers, but the metric decides: of the layers that were given back, a few are tried in
 INT8 again, and stay so where the budget holds without them. Of all models that hold it, the one with the
@@ -17,10 +17,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from quantize.errors import QuantizeError
+from quantize.budget_kinds import Budget
 from runtime.contracts.measurement import Measurement
 
-LEVEL_MODERATE = 1
 Build = Callable[[Sequence[str]], Path]
 
 
@@ -31,13 +30,13 @@ class BudgetStep:
     Attributes:
         given_back: layers in float.
         way: how the rest was written, of the ways that cost nothing; empty where there was one alone.
-        drop_points: what it lost against the float model.
+        lost: against the float model, in the budget's unit.
         measurement: all that was measured.
         holds: whether the budget holds.
     """
 
     given_back: tuple[str, ...]
-    drop_points: float
+    lost: float
     measurement: Measurement
     holds: bool
     way: str = ""
@@ -71,9 +70,9 @@ def search_budget(
     build: Build | Mapping[str, Build],
     measure: Callable[[Path], Measurement],
     *,
-    drop_points: Callable[[Measurement], float],
+    reference: Measurement,
     ranking: Callable[[], Sequence[str]],
-    max_drop: float,
+    budget: Budget,
     refinements: int = 0,
     tell: Callable[[str], None] = lambda line: None,
 ) -> BudgetResult:
@@ -82,39 +81,35 @@ def search_budget(
     Args:
         build: Layers in float -> a model directory; or several such ways by name, the most promising first.
         measure: Model directory -> measurement.
-        drop_points: Measurement -> points lost against the float model; below zero where it won.
+        reference: Measurement of the float model.
         ranking: Gives layer names, worst first; asked only when INT8 throughout is over budget.
-        max_drop: Points that may be lost.
+        budget: What may be lost.
         refinements: How many of the layers given back are tried in INT8 again, the least noisy first.
         tell: Told one line a step.
 
     Raises:
-        QuantizeError: ``max_drop`` is negative or not a number.
+        QuantizeError: The frames have nothing to measure the budget on.
     """
-    if not max_drop >= 0:
-        raise QuantizeError(
-            f"--max-drop or --max-disagreement: found {max_drop}; expected points of 0 or more; 0.5 is strict"
-        )
     steps: list[BudgetStep] = []
     ways = build if isinstance(build, Mapping) else {"": build}
     way = next(iter(ways))
 
     def attempt(given_back: Sequence[str]) -> BudgetStep:
         measurement = measure(ways[way](given_back))
-        lost = drop_points(measurement)
-        step = BudgetStep(tuple(given_back), lost, measurement, lost <= max_drop, way)
+        found = budget.lost(reference, measurement)
+        step = BudgetStep(tuple(given_back), found, measurement, found <= budget.limit, way)
         steps.append(step)
         verdict = "holds" if step.holds else "over"
         tell(
-            f"{way and way + ', '}{len(given_back)} layers in float: {lost:+.2f} points lost, "
-            f"budget {max_drop:g} {verdict}{_cost(step, steps[0])}"
+            f"{way and way + ', '}{len(given_back)} layers in float: {found:+.2f} {budget.unit}, "
+            f"budget {budget.limit:g} {verdict}{_cost(step, steps[0])}"
         )
         return step
 
     for way in ways:  # noqa: B007 - `attempt` reads it
         if attempt(()).holds:
             return BudgetResult(tuple(steps), steps[-1])
-    way = min(steps, key=lambda step: step.drop_points).way
+    way = min(steps, key=lambda step: step.lost).way
     order = list(ranking())
     over, count = 0, 1
     while order:
@@ -123,7 +118,7 @@ def search_budget(
             break
         over = count
         if count == len(order):
-            return BudgetResult(tuple(steps), min(steps, key=lambda step: step.drop_points))
+            return BudgetResult(tuple(steps), min(steps, key=lambda step: step.lost))
         count *= 2
     enough = count
     while enough - over > 1:
@@ -140,7 +135,7 @@ def search_budget(
             kept = fewer
     return BudgetResult(
         tuple(steps),
-        _fastest([step for step in steps if step.holds]) if order else min(steps, key=lambda step: step.drop_points),
+        _fastest([step for step in steps if step.holds]) if order else min(steps, key=lambda step: step.lost),
     )
 
 
@@ -157,38 +152,3 @@ def _cost(step: BudgetStep, first: BudgetStep) -> str:
     if step is first:
         return f", {step.inference_ms:.1f} ms"
     return f", {step.inference_ms:.1f} ms ({step.inference_ms - first.inference_ms:+.1f})"
-
-
-def ap_drop_points(reference: Measurement, other: Measurement) -> float:
-    """Points of 3D AP (R40, moderate) lost by the class that lost most.
-
-    Each class counts at its loosest 3D overlap, where few objects say most; classes without moderate
-    objects are left out.
-
-    Raises:
-        QuantizeError: No class has moderate objects to measure on.
-    """
-    lost = []
-    for name, metrics in reference.ap.items():
-        if reference.objects.get(name, [0, 0, 0])[LEVEL_MODERATE] == 0 or "3d" not in metrics:
-            continue
-        overlap = min(metrics["3d"], key=float)
-        before = metrics["3d"][overlap]["R40"][LEVEL_MODERATE]
-        lost.append(before - other.ap[name]["3d"][overlap]["R40"][LEVEL_MODERATE])
-    if not lost:
-        raise QuantizeError(
-            "--validation: found no labelled objects of the model's classes and moderate difficulty; expected some for "
-            "a budget in AP points; give a labelled source"
-        )
-    return max(lost)
-
-
-def disagreement_points(other: Measurement) -> float:
-    """Share of detections without a partner in the float model's, in points of 100; needs no labels.
-
-    Raises:
-        QuantizeError: The measurement was not compared with the float model.
-    """
-    if other.agreement is None:
-        raise QuantizeError("--max-disagreement: found no comparison; expected one with the float model; measure both")
-    return 100.0 * (1.0 - other.agreement.matched_share)

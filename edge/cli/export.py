@@ -52,6 +52,15 @@ def export_command(
     input_type: Annotated[
         InputType, typer.Option("--input", help="Whether the graph normalises (uint8) or the caller (float32).")
     ] = InputType.UINT8,
+    vote: Annotated[
+        Optional[float],  # noqa: UP045
+        typer.Option(
+            min=0.0,
+            max=1.0,
+            help="Each box becomes the mean of those of its class that overlap it by more than this: steadier in 8 "
+            "bits. compact votes from 0.7 on, paper and mono do not.",
+        ),
+    ] = None,
     source: Annotated[
         Optional[str],  # noqa: UP045
         typer.Option(help="Frames to compare torch and ONNX Runtime on; default: the bundled recording."),
@@ -101,6 +110,8 @@ def export_command(
     chosen = fitted_preset(named, weights, names)
     check_ablations(checkpoint, chosen)
     manifest = chosen.manifest(input_type=input_type.value)
+    if vote is not None:
+        manifest = dataclasses.replace(manifest, nms=dataclasses.replace(manifest.nms, voting_iou=vote))
     detector = build_detector(chosen)
     load_weights(detector, weights)
     tables = find_priors(chosen, checkpoint, priors)

@@ -69,6 +69,10 @@ def quantize_command(
         float | None,
         typer.Option(help="The budget without labels: per cent of detections that may differ from the float model's."),
     ] = None,
+    max_shift: Annotated[
+        float | None,
+        typer.Option(help="Or centimetres by which matched boxes within 30 m may shift in the mean; needs no labels."),
+    ] = None,
     curve: Annotated[
         str | None, typer.Option(help="Also measure models of so many calibration frames, for example 1,4,16,64.")
     ] = None,
@@ -97,12 +101,14 @@ def quantize_command(
     from runtime.sources.factory import open_sequence
 
     counts = curve_counts(curve)
-    budget = wanted_budget(max_drop, max_disagreement, validation)
+    budget = wanted_budget(
+        {"--max-drop": max_drop, "--max-disagreement": max_disagreement, "--max-shift": max_shift}, validation
+    )
     began_secs = time.perf_counter()
     directory = open_model_directory(model)
     check_out(out, model)
     if validation is not None:
-        check_validation(validation, directory.manifest.classes, labelled=max_drop is not None)
+        check_validation(validation, directory.manifest.classes, labelled=budget is not None and budget.labelled)
     recipe = recipe_for_target(target or detect_target())
     prepared = prepare_model(directory, recipe)
     if prepared.pixel_note is not None:
@@ -171,8 +177,7 @@ def quantize_command(
             {name: partial(write, some) for name, some in ways.items()},
             out=out,
             validation=validation,
-            max_drop=budget,
-            labelled=max_drop is not None,
+            budget=budget,
             ranges=settled.ranges,
             allow_other_rig=allow_other_rig,
         )
@@ -221,9 +226,8 @@ def quantize_command(
             f"parity: found {len(parity.failures)} of {len(parity.checks)} checks of the pixels failed; expected none; "
             f"the figures of {out} say little before this is mended: see the remedies in {out / 'report.md'}"
         )
-    if search is not None and not search.holds:
-        option = "--max-drop" if max_drop is not None else "--max-disagreement"
+    if budget is not None and search is not None and not search.holds:
         raise GoalMissedError(
-            f"{option}: found {search.best.drop_points:+.2f} points lost by the best of {len(search.steps)} models; "
-            f"expected at most {budget:g}; the best is kept in {out}: allow more, or train the model longer"
+            f"{budget.option}: found {search.best.lost:+.2f} {budget.unit} by the best of {len(search.steps)} models; "
+            f"expected at most {budget.limit:g}; the best is kept in {out}: allow more, or train the model longer"
         )

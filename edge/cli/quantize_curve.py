@@ -149,7 +149,7 @@ def _named(progress: Progress, way: str) -> Progress:
 
 def _point(way: str, count: int, coverage: float, before: Measurement, after: Measurement) -> CurvePoint:
     from edge.report.curve import CurvePoint
-    from quantize.budget import ap_drop_points, disagreement_points
+    from quantize.budget_kinds import ap_drop_points, disagreement_points
     from quantize.errors import QuantizeError
 
     try:

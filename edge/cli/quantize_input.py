@@ -6,29 +6,31 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
+
+    from quantize.budget_kinds import Budget
 
 
-def wanted_budget(max_drop: float | None, max_disagreement: float | None, validation: str | None) -> float | None:
-    """The one budget that was given; None for none.
+def wanted_budget(given: Mapping[str, float | None], validation: str | None) -> Budget | None:
+    """The one budget that was given, by its option; None for none.
 
     Raises:
         QuantizeError: two budgets, one without frames to measure on, or one below zero.
     """
+    from quantize.budget_kinds import Budget
     from quantize.errors import QuantizeError
 
-    if max_drop is not None and validation is None:
-        raise QuantizeError("--max-drop: found no --validation; expected labelled frames to measure on; name a source")
-    if max_disagreement is not None and (validation is None or max_drop is not None):
-        found_instead = "no --validation" if validation is None else "--max-drop, too"
+    budgets = [Budget(option, limit) for option, limit in given.items() if limit is not None]
+    if not budgets:
+        return None
+    budget, *others = budgets
+    if others:
         raise QuantizeError(
-            f"--max-disagreement: found {found_instead}; expected a source to measure on, and one budget; "
-            "--max-drop is for labelled frames"
+            f"{others[0].option}: found {budget.option}, too; expected one budget; --max-drop is for labelled frames"
         )
-    budget = max_drop if max_drop is not None else max_disagreement
-    if budget is not None and not budget >= 0:
-        option = "--max-drop" if max_drop is not None else "--max-disagreement"
-        raise QuantizeError(f"{option}: found {budget:g}; expected points of 0 or more; 0.5 is strict")
+    if validation is None:
+        frames = "labelled frames" if budget.labelled else "frames"
+        raise QuantizeError(f"{budget.option}: found no --validation; expected {frames} to measure on; name a source")
     return budget
 
 
@@ -60,7 +62,7 @@ def check_validation(uri: str, classes: Sequence[str], *, labelled: bool) -> Non
     from edge.evaluation.kitti_ap import count_objects
     from edge.evaluation.rules import CLASS_RULES
     from edge.evaluation.tables import label_table
-    from quantize.budget import LEVEL_MODERATE
+    from quantize.budget_kinds import LEVEL_MODERATE
     from quantize.errors import QuantizeError
     from runtime.sources.factory import open_sequence
 
@@ -77,5 +79,6 @@ def check_validation(uri: str, classes: Sequence[str], *, labelled: bool) -> Non
                 return
     raise QuantizeError(
         f"--validation: found no labelled objects of the model's classes and moderate difficulty in {uri}; expected "
-        "some for a budget in AP points; give a labelled source, or --max-disagreement instead of --max-drop"
+        "some for a budget in AP points; give a labelled source, or --max-disagreement or --max-shift instead of "
+        "--max-drop"
     )

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from edge.report.repeat import RepeatRecord
     from quantize.adjustments import Way
     from quantize.budget import BudgetResult
+    from quantize.budget_kinds import Budget
     from quantize.calibration import Calibration
     from quantize.prepare import Prepared
     from quantize.range_search import RangeSearch
@@ -40,7 +41,7 @@ def report(
     settled: RangeSearch,
     validation: str | None,
     search: BudgetResult | None,
-    budget: float | None,
+    budget: Budget | None,
     parity: ParityRecord,
     repeat: RepeatRecord,
     use_cache: bool,
@@ -128,11 +129,10 @@ def report(
         latency=latency,
         memory=memory,
         budget=tuple(
-            BudgetRow(
-                step.given_back, step.drop_points, step.measurement.latency_ms.get("inference"), step.holds, step.way
-            )
+            BudgetRow(step.given_back, step.lost, step.measurement.latency_ms.get("inference"), step.holds, step.way)
             for step in (search.steps if search is not None else ())
         ),
+        budget_unit="" if budget is None else budget.unit,
         parity=parity,
         repeat=repeat,
     )
@@ -161,13 +161,13 @@ def _coverage_facts(found: Calibration) -> dict[str, str]:
     }
 
 
-def _budget_plot(folder: Path, rows: Sequence[Any], budget: float) -> None:
+def _budget_plot(folder: Path, rows: Sequence[Any], budget: Budget) -> None:
     """The picture of the search, where matplotlib is there to draw it; the table says the same."""
     from edge.report.pareto import write_budget_plot
     from runtime.model_folder import BUDGET_PLOT
 
     try:
-        write_budget_plot(folder / BUDGET_PLOT, rows, max_drop=budget)
+        write_budget_plot(folder / BUDGET_PLOT, rows, limit=budget.limit, unit=budget.unit)
     except ImportError:
         warn("no picture of the search: matplotlib is missing; pip install '.[report]'")
 

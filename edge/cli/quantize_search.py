@@ -11,6 +11,7 @@ from edge.cli.stages import say, stage_progress, warn
 if TYPE_CHECKING:
     from calib.methods import Range
     from quantize.budget import BudgetResult
+    from quantize.budget_kinds import Budget
     from quantize.calibration import Calibration
     from quantize.prepare import Prepared
     from runtime.contracts.manifest import ModelDirectory
@@ -27,8 +28,7 @@ def search_in_budget(
     *,
     out: Path,
     validation: str,
-    max_drop: float,
-    labelled: bool,
+    budget: Budget,
     ranges: Mapping[str, Range],
     allow_other_rig: bool,
 ) -> BudgetResult:
@@ -39,16 +39,15 @@ def search_in_budget(
     from calib.frames import frame_feeds, say_nothing, spread_frames
     from edge.evaluation.measure import assess, measure, measurement
     from edge.evaluation.run import run_model
-    from quantize.budget import ap_drop_points, disagreement_points, search_budget
+    from quantize.budget import search_budget
     from quantize.sensitivity import own_noise
     from runtime.sources.factory import open_sequence
 
     with open_sequence(validation) as source:
         say(f"measuring the float model on {len(source)} frames")
         reference = assess(run_model(prepared.source.path, source, allow_other_rig=allow_other_rig, warn=warn))
-        before = measurement(reference)
-        if labelled:
-            ap_drop_points(before, before)  # frames without labels are said before minutes go by
+        before = measurement(reference, reference)
+        budget.lost(before, before)  # nothing to measure on is said before minutes go by
         out.parent.mkdir(parents=True, exist_ok=True)
         with (
             tempfile.TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as made,
@@ -72,9 +71,9 @@ def search_in_budget(
             return search_budget(
                 {way: partial(build, write) for way, write in writes.items()},
                 lambda place: measure(place, source, reference, allow_other_rig=allow_other_rig, warn=say_nothing),
-                drop_points=(lambda after: ap_drop_points(before, after)) if labelled else disagreement_points,
+                reference=before,
                 ranking=rank,
-                max_drop=max_drop,
+                budget=budget,
                 refinements=REFINEMENTS,
                 tell=say,
             )

@@ -13,7 +13,7 @@ import numpy as np
 
 from edge.evaluation.tables import image_overlap
 from runtime.contracts.errors import FormatError
-from runtime.contracts.measurement import Agreement
+from runtime.contracts.measurement import NEAR_BAND, NEAR_M, Agreement
 from runtime.contracts.objects import Detections3D, FloatArray, IntArray, Objects3D
 
 MIN_IMAGE_OVERLAP = 0.5
@@ -108,8 +108,8 @@ def agreement(
 
 
 def by_band(distance_m: FloatArray, values: FloatArray) -> dict[str, FloatArray]:
-    """Values by distance band, `ALL_BANDS` first; bands without a value are left out."""
-    bands = {ALL_BANDS: values}
+    """Values by distance band, `ALL_BANDS` and `NEAR_BAND` first; bands without a value are left out."""
+    bands = {ALL_BANDS: values, NEAR_BAND: values[distance_m < NEAR_M]}
     index = np.searchsorted(BAND_EDGES_M, distance_m, side="right") - 1
     for number, name in enumerate(BAND_NAMES):
         bands[name] = values[index == number]

@@ -38,10 +38,10 @@ class LayerRow:
 
 @dataclass(frozen=True, slots=True)
 class BudgetRow:
-    """A model that the budget search tried: layers in float, points lost, milliseconds of inference, adjustments."""
+    """A model that the budget search tried: layers in float, what was lost, milliseconds of inference, adjustments."""
 
     given_back: tuple[str, ...]
-    drop_points: float
+    lost: float
     inference_ms: float | None
     holds: bool
     way: str = ""
@@ -58,7 +58,7 @@ class QuantisationRecord:
         kept_float: (node, why) of operators that the recipe would have taken.
         latency: one record a model, float first, as `runtime.turns` gives them; empty where nothing was timed.
         size_bytes: of both ONNX files, float first.
-        budget: path of the search; empty without one.
+        budget: path of the search; empty without one; budget_unit: of what was lost.
         int8_share: of the multiply-adds in the graph.
         int8_share_run: of the multiply-adds that ONNX Runtime ran; None where nothing was timed.
         memory: of a process that runs the float model, and one that runs the INT8 one; None where it was not told.
@@ -74,6 +74,7 @@ class QuantisationRecord:
     int8_share_run: float | None = None
     latency: tuple[dict[str, Any], ...] = ()
     budget: tuple[BudgetRow, ...] = field(default=())
+    budget_unit: str = ""
     memory: tuple[PeakMemory | None, ...] = ()
     parity: ParityRecord | None = None
     repeat: RepeatRecord | None = None
@@ -158,7 +159,7 @@ def budget_table(record: QuantisationRecord) -> Table:
     rows = tuple(
         (
             str(len(item.given_back)),
-            f"{item.drop_points:+.2f}",
+            f"{item.lost:+.2f}",
             NO_VALUE if item.inference_ms is None else f"{item.inference_ms:.1f}",
             "holds" if item.holds else "over",
             ", ".join(item.given_back[-3:]) or NO_VALUE,
@@ -168,7 +169,7 @@ def budget_table(record: QuantisationRecord) -> Table:
     )
     return Table(
         "Accuracy budget: what was tried",
-        ("layers in float", "points lost", "inference ms", "budget", "last given", "adjustments"),
+        ("layers in float", record.budget_unit, "inference ms", "budget", "last given", "adjustments"),
         rows,
     )
 
@@ -202,10 +203,11 @@ def _as_json(record: QuantisationRecord) -> dict[str, Any]:
         "memory": [None if item is None else asdict(item) for item in record.memory],
         "size_bytes": {"float32": record.size_bytes[0], "int8": record.size_bytes[1]},
         "int8_share_of_multiply_adds": {"graph": record.int8_share, "run": record.int8_share_run},
+        "budget_unit": record.budget_unit,
         "budget": [
             {
                 "given_back": list(item.given_back),
-                "drop_points": item.drop_points,
+                "lost": item.lost,
                 "inference_ms": item.inference_ms,
                 "holds": item.holds,
                 "adjustments": item.way,

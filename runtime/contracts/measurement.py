@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
+
+NEAR_M: Final = 30.0
+NEAR_BAND: Final = "0-30"
+"""Distance band below `NEAR_M`: what a vehicle brakes for, and what a budget of shift counts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,7 +19,8 @@ class Agreement:
     Attributes:
         matched_share: 2 x matched / (n_reference + n_other), 1.0 when neither found anything.
         reference_count, other_count, matched_count: detections.
-        centre_error_m: distance band (``all``, ``0-15``, ...) to (median, mean) 3D distance of matched pairs in metres.
+        centre_error_m: distance band (``all``, `NEAR_BAND`, ``0-15``, ...) to (median, mean) 3D distance of matched
+            pairs in metres.
     """
 
     matched_share: float

@@ -8,9 +8,10 @@ from typing import ClassVar
 
 import pytest
 
-from quantize.budget import ap_drop_points, disagreement_points, search_budget
+from quantize.budget import search_budget
+from quantize.budget_kinds import KINDS, Budget, ap_drop_points, disagreement_points, shift_cm
 from quantize.errors import QuantizeError
-from runtime.contracts.measurement import Agreement, Measurement
+from runtime.contracts.measurement import NEAR_BAND, Agreement, Measurement
 
 COSTS = {"a": 4.0, "b": 2.0, "c": 1.0, "d": 0.5, "e": 0.25}
 ORDER = list(COSTS)
@@ -48,9 +49,9 @@ class World:
         return search_budget(
             self.build,
             self.measure,
-            drop_points=lambda after: ap_drop_points(REFERENCE, after),
+            reference=REFERENCE,
             ranking=ranking or self.rank,
-            max_drop=max_drop,
+            budget=Budget("--max-drop", max_drop),
         )
 
 
@@ -71,7 +72,7 @@ def test_as_few_layers_as_needed_are_given_back_worst_first(max_drop, needed) ->
     result = world.search(max_drop)
     assert result.holds
     assert result.best.given_back == tuple(ORDER[:needed])
-    assert result.best.drop_points <= max_drop
+    assert result.best.lost <= max_drop
     assert len(world.built) == len(set(world.built)), "no model is tried twice"
 
 
@@ -80,13 +81,14 @@ def test_what_cannot_be_kept_is_said_and_the_best_is_named(ranking) -> None:
     result = World().search(1.0, ranking=lambda: ranking)
     assert not result.holds
     assert result.best.given_back == tuple(ranking)
-    assert result.best.drop_points == min(step.drop_points for step in result.steps)
+    assert result.best.lost == min(step.lost for step in result.steps)
 
 
-@pytest.mark.parametrize("max_drop", [-0.1, float("nan")])
-def test_a_wrong_budget_is_refused(max_drop) -> None:
-    with pytest.raises(QuantizeError, match="--max-drop"):
-        World().search(max_drop)
+@pytest.mark.parametrize("limit", [-0.1, float("nan")])
+@pytest.mark.parametrize("option", KINDS)
+def test_a_wrong_budget_is_refused(option: str, limit: float) -> None:
+    with pytest.raises(QuantizeError, match=f"{option}: .* 0 or more"):
+        Budget(option, limit)
 
 
 def test_drop_is_of_the_class_that_lost_most_at_its_loosest_overlap() -> None:
@@ -119,9 +121,9 @@ def timed_search(refinements: int, lines: list[str] | None = None):
     return search_budget(
         world.build,
         world.measure,
-        drop_points=lambda after: ap_drop_points(REFERENCE, after),
+        reference=REFERENCE,
         ranking=lambda: ORDER,
-        max_drop=0.5,
+        budget=Budget("--max-drop", 0.5),
         refinements=refinements,
         tell=(lines if lines is not None else []).append,
     )
@@ -152,6 +154,41 @@ def test_disagreement_of_what_was_not_compared_is_refused() -> None:
         disagreement_points(record(1.0))
 
 
+def shifted(*, share: float, bands: dict[str, tuple[float, float]]) -> Measurement:
+    return dataclasses.replace(record(1.0), agreement=Agreement(share, 10, 10, 10, bands))
+
+
+def test_shift_is_the_mean_of_the_near_band() -> None:
+    after = shifted(share=1.0, bands={"all": (0.02, 0.5), NEAR_BAND: (0.01, 0.034), "15-30": (0.3, 0.9)})
+    assert shift_cm(after) == pytest.approx(3.4)
+    assert Budget("--max-shift", 5.0).lost(REFERENCE, after) == pytest.approx(3.4)
+    assert not Budget("--max-shift", 5.0).labelled
+
+
+@pytest.mark.parametrize(
+    ("after", "said"),
+    [(record(1.0), "no comparison"), (shifted(share=1.0, bands={"45+": (1.0, 1.0)}), "no box within 30 m")],
+)
+def test_shift_of_what_is_not_there_is_refused(after: Measurement, said: str) -> None:
+    with pytest.raises(QuantizeError, match=said):
+        shift_cm(after)
+
+
+def test_the_budgets_unit_is_said_at_each_step() -> None:
+    lines: list[str] = []
+    far, near = ({NEAR_BAND: (0.0, mean_m)} for mean_m in (0.08, 0.03))
+    result = search_budget(
+        lambda given_back: Path(",".join(given_back) or "none"),
+        lambda place: shifted(share=1.0, bands=far if place == Path("none") else near),
+        reference=REFERENCE,
+        ranking=lambda: ORDER,
+        budget=Budget("--max-shift", 5.0),
+        tell=lines.append,
+    )
+    assert result.best.given_back == ("a",)
+    assert lines[0] == "0 layers in float: +8.00 cm of shift, budget 5 over"
+
+
 def test_what_costs_nothing_is_tried_before_a_layer_is_given_back() -> None:
     """The second way loses half as much: it holds the budget with all layers in INT8."""
     world = World()
@@ -173,9 +210,9 @@ def test_what_costs_nothing_is_tried_before_a_layer_is_given_back() -> None:
         return search_budget(
             {"plain": way("plain"), "better": way("better")},
             measure,
-            drop_points=lambda after: ap_drop_points(REFERENCE, after),
+            reference=REFERENCE,
             ranking=world.rank,
-            max_drop=max_drop,
+            budget=Budget("--max-drop", max_drop),
         )
 
     wide = search(8.0)

@@ -156,7 +156,7 @@ def test_a_budget_is_kept_or_missed_with_the_best_named(arguments, drives, tmp_p
     assert step["given_back"] == []
     assert step["adjustments"] == "weights rounded by what they do"
     assert step["holds"]
-    drop = step["drop_points"]
+    drop = step["lost"]
     assert drop > 0, "the toy network must lose something for this test to say anything"
     capsys.readouterr()
 
@@ -172,7 +172,7 @@ def test_a_budget_is_kept_or_missed_with_the_best_named(arguments, drives, tmp_p
     if holding:
         best = min(holding, key=lambda item: (item["inference_ms"], len(item["given_back"])))
     else:
-        best = min(steps, key=lambda item: item["drop_points"])
+        best = min(steps, key=lambda item: item["lost"])
         assert str(out) in capsys.readouterr().err
     assert kept == (" ".join(sorted(best["given_back"])) or "none")
     assert {item["adjustments"] for item in steps if not item["given_back"]} == set(ADJUSTMENTS)
@@ -219,14 +219,27 @@ def test_a_budget_without_labels_is_refused(arguments, drives, tmp_path, capsys)
     assert not (tmp_path / "int8").exists()
 
 
-def test_without_labels_the_budget_is_agreement(arguments, drives, tmp_path, capsys) -> None:
+def test_without_labels_the_budget_is_agreement(arguments, drives, tmp_path) -> None:
     shutil.rmtree(drives[1] / "training" / "label_2")
     validation = ["--validation", f"kitti-object:{drives[1]}", "--max-disagreement", 100]
     out = tmp_path / "int8"
     assert run(*arguments, "--out", out, *validation) == 0
-    (step,) = json.loads((out / "report.json").read_text(encoding="utf-8"))["quantisation"]["budget"]
+    record = json.loads((out / "report.json").read_text(encoding="utf-8"))["quantisation"]
+    (step,) = record["budget"]
     assert step["holds"]
-    assert 0 < step["drop_points"] <= 100, "the toy network must disagree somewhere for this test to say anything"
+    assert record["budget_unit"] == "% of detections unlike"
+    assert "% of detections unlike" in (out / "report.md").read_text(encoding="utf-8")
+    assert 0 < step["lost"] <= 100, "the toy network must disagree somewhere for this test to say anything"
+
+
+def test_a_budget_of_shift_needs_near_boxes(arguments, drives, tmp_path, capsys) -> None:
+    """The toy network shows none within 30 m: said once the float model was measured, before anything is built."""
+    validation = ["--validation", f"kitti-object:{drives[1]}", "--max-shift", 5]
+    assert run(*arguments, "--out", tmp_path / "int8", *validation) == 2
+    told = capsys.readouterr().err
+    assert "no box within 30 m" in told.strip().splitlines()[-1]
+    assert "layers in float" not in told
+    assert not (tmp_path / "int8").exists()
 
 
 def test_a_live_source_does_not_calibrate(arguments, tmp_path, monkeypatch, capsys) -> None:

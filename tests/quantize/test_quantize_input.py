@@ -17,6 +17,7 @@ pytest.importorskip("onnx")
 
 from edge.cli.main import app
 from edge.cli.quantize_input import check_out, check_validation, wanted_budget
+from quantize.budget_kinds import Budget
 from quantize.errors import QuantizeError
 from runtime.contracts.errors import OutputError, SourceError
 from runtime.contracts.manifest import open_model_directory
@@ -139,6 +140,8 @@ def test_places_that_cannot_be_written(toy_directory: Path, tiny_drive: Path, tm
         (["--max-drop", "-1", "--validation", "kitti-object:{drive}"], "0 or more"),
         (["--max-disagreement", "nan", "--validation", "kitti-object:{drive}"], "0 or more"),
         (["--max-drop", "1", "--max-disagreement", "1", "--validation", "kitti-object:{drive}"], "one budget"),
+        (["--max-drop", "1", "--max-shift", "1", "--validation", "kitti-object:{drive}"], "one budget"),
+        (["--max-shift", "5"], "--max-shift: found no --validation; expected frames to measure on"),
         (["--max-drop", "1", "--validation", "kitti-object:{drive}-gone"], "-gone"),
         (["--validation", "kitti-object:{drive}-gone"], "-gone"),
         (["--validation", "nonsense"], "no scheme"),
@@ -177,11 +180,11 @@ def test_an_ap_budget_without_labels_of_the_classes(
 
 
 def test_the_checks_alone(tiny_drive: Path, tmp_path: Path) -> None:
-    assert wanted_budget(None, None, None) is None
-    assert wanted_budget(0.0, None, "x:y") == 0.0
-    assert wanted_budget(None, 3.0, "x:y") == 3.0
+    assert wanted_budget({"--max-drop": None, "--max-shift": None}, None) is None
+    assert wanted_budget({"--max-drop": 0.0, "--max-shift": None}, "x:y") == Budget("--max-drop", 0.0)
+    assert wanted_budget({"--max-drop": None, "--max-shift": 3.0}, "x:y") == Budget("--max-shift", 3.0)
     with pytest.raises(QuantizeError, match="0 or more"):
-        wanted_budget(-0.5, None, "x:y")
+        wanted_budget({"--max-drop": -0.5}, "x:y")
     with pytest.raises(SourceError):
         check_validation(f"kitti-object:{tmp_path}/none", ("Car",), labelled=False)
     check_validation(f"kitti-object:{tiny_drive}", ("Car",), labelled=True)
@@ -220,7 +223,7 @@ def test_a_budget_that_cannot_be_met_keeps_and_names_the_best(
         known.append(next(lost))
         return known[-1]
 
-    monkeypatch.setattr("quantize.budget.ap_drop_points", points)
+    monkeypatch.setattr("quantize.budget_kinds.ap_drop_points", points)
     second = Path(shutil.copytree(tiny_drive, tmp_path / "second"))
     for path in (second / "training" / "image_2").iterdir():
         cv2.imwrite(str(path), cv2.imread(str(path)) // 2)
@@ -235,6 +238,6 @@ def test_a_budget_that_cannot_be_met_keeps_and_names_the_best(
     assert "allow more" in line
     kept = open_model_directory(out).manifest.provenance["given_back_to_float"].split()
     steps = json.loads((out / "report.json").read_text(encoding="utf-8"))["quantisation"]["budget"]
-    best = min(steps, key=lambda step: step["drop_points"])
+    best = min(steps, key=lambda step: step["lost"])
     assert kept == sorted(best["given_back"])
     assert not any(step["holds"] for step in steps)

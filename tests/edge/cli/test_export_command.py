@@ -140,6 +140,18 @@ def test_confidence_beside_the_weights_or_given(
     assert not (tmp_path / "given").exists()
 
 
+def test_vote_is_the_models_or_the_presets(
+    exported: Path, run_folder: Path, source: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(export.to_onnx, "to_onnx", lambda *_, **__: onnx.load(exported / "model.onnx"))
+    before = open_model_directory(exported).manifest
+    assert export_small(run_folder, tmp_path / "voting", source, "--vote", "0.6") == 0
+    after = open_model_directory(tmp_path / "voting").manifest
+    assert before.nms.voting_iou != 0.6 and after.nms == dataclasses.replace(before.nms, voting_iou=0.6)
+    assert export_small(run_folder, tmp_path / "beyond", source, "--vote", "1.5") == 2
+    assert not (tmp_path / "beyond").exists()
+
+
 @pytest.mark.slow
 def test_float_input(run_folder: Path, source: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "model"

@@ -11,6 +11,7 @@ from edge.evaluation.agreement import agreement, by_band, pair_up
 from edge.evaluation.depth_error import depth_errors
 from runtime.contracts.errors import FormatError
 from runtime.contracts.kitti import parse_labels
+from runtime.contracts.measurement import NEAR_BAND
 from runtime.contracts.objects import Detections3D
 
 NAMES = ("Car", "Pedestrian")
@@ -62,7 +63,7 @@ def test_class_and_overlap_and_threshold_decide():
     assert (result.reference_count, result.other_count, result.matched_count) == (2, 3, 1)
     assert result.matched_share == pytest.approx(2 / 5)
     assert result.centre_error_m["all"] == pytest.approx((0.5, 0.5), abs=EXACT_M)
-    assert set(result.centre_error_m) == {"all", "15-30"}
+    assert set(result.centre_error_m) == {"all", NEAR_BAND, "15-30"}
 
 
 def test_the_higher_score_chooses_first():
@@ -85,7 +86,7 @@ def test_a_model_agrees_with_itself_in_any_order(lefts: list[float], seed: int):
 def test_bands_hold_their_lower_edge_and_empty_ones_are_absent():
     values = by_band(np.array([0.0, 15.0, 44.9, 45.0, 80.0]), np.arange(5.0))
     assert {name: part.tolist() for name, part in values.items()} == {
-        "all": [0, 1, 2, 3, 4], "0-15": [0], "15-30": [1], "30-45": [2], "45+": [3, 4],
+        "all": [0, 1, 2, 3, 4], NEAR_BAND: [0, 1], "0-15": [0], "15-30": [1], "30-45": [2], "45+": [3, 4],
     }  # fmt: skip
 
 

@@ -29,7 +29,7 @@ def test_a_picture_is_written_and_the_same_again(rows, tmp_path: Path) -> None:
     cv2 = pytest.importorskip("cv2")
     pytest.importorskip("matplotlib")
     for name in ("one.png", "two.png"):
-        write_budget_plot(tmp_path / name, rows, max_drop=1.0)
+        write_budget_plot(tmp_path / name, rows, limit=1.0, unit="points lost")
     assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
     picture = cv2.imread(str(tmp_path / "one.png"))
     assert picture.shape == (440, 660, 3)
