@@ -84,20 +84,26 @@ def disagreement_points(other: Measurement) -> float:
     return 100.0 * (1.0 - other.agreement.matched_share)
 
 
-def shift_cm(other: Measurement) -> float:
+def shift_cm(reference: Measurement, other: Measurement) -> float:
     """Mean shift of the centres of matched boxes of `NEAR_BAND`, in centimetres; needs no labels.
 
+    A model that shows none of the boxes there counts as if each were off by the whole of `NEAR_M`.
+
+    Args:
+        reference: The float model, compared with itself.
+        other: The model, compared with it.
+
     Raises:
-        QuantizeError: The measurement was not compared with the float model, or no box is that near.
+        QuantizeError: One was not compared, or the float model shows no box that near.
     """
-    if other.agreement is None:
+    if reference.agreement is None or other.agreement is None:
         raise QuantizeError("--max-shift: found no comparison; expected one with the float model; measure both")
-    if NEAR_BAND not in other.agreement.centre_error_m:
+    if NEAR_BAND not in reference.agreement.centre_error_m:
         raise QuantizeError(
-            f"--max-shift: found no box within {NEAR_M:g} m that both models show; expected some; give frames with "
-            "near objects, or --max-disagreement instead"
+            f"--max-shift: found no box of the float model within {NEAR_M:g} m; expected some; give frames with near "
+            "objects, or --max-disagreement instead"
         )
-    _, mean_m = other.agreement.centre_error_m[NEAR_BAND]
+    _, mean_m = other.agreement.centre_error_m.get(NEAR_BAND, (NEAR_M, NEAR_M))
     return 100.0 * mean_m
 
 
@@ -126,7 +132,7 @@ KINDS: Final[Mapping[str, _Kind]] = MappingProxyType(
         "--max-shift": _Kind(
             "cm of shift",
             False,
-            lambda _, after: shift_cm(after),
+            lambda before, after: shift_cm(before, after),
             "expected centimetres of 0 or more; 5 is strict",
         ),
     }

@@ -11,7 +11,7 @@ import pytest
 from quantize.budget import search_budget
 from quantize.budget_kinds import KINDS, Budget, ap_drop_points, disagreement_points, shift_cm
 from quantize.errors import QuantizeError
-from runtime.contracts.measurement import NEAR_BAND, Agreement, Measurement
+from runtime.contracts.measurement import NEAR_BAND, NEAR_M, Agreement, Measurement
 
 COSTS = {"a": 4.0, "b": 2.0, "c": 1.0, "d": 0.5, "e": 0.25}
 ORDER = list(COSTS)
@@ -154,33 +154,41 @@ def test_disagreement_of_what_was_not_compared_is_refused() -> None:
         disagreement_points(record(1.0))
 
 
-def shifted(*, share: float, bands: dict[str, tuple[float, float]]) -> Measurement:
-    return dataclasses.replace(record(1.0), agreement=Agreement(share, 10, 10, 10, bands))
+def shifted(**mean_m: float) -> Measurement:
+    """A measurement whose boxes of some distance bands moved so far; bands are named with _ for -."""
+    bands = {name.removeprefix("m").replace("_", "-"): (0.0, value) for name, value in mean_m.items()}
+    return dataclasses.replace(record(1.0), agreement=Agreement(1.0, 10, 10, 10, bands))
+
+
+ITSELF = shifted(all=0.0, m0_30=0.0)
 
 
 def test_shift_is_the_mean_of_the_near_band() -> None:
-    after = shifted(share=1.0, bands={"all": (0.02, 0.5), NEAR_BAND: (0.01, 0.034), "15-30": (0.3, 0.9)})
-    assert shift_cm(after) == pytest.approx(3.4)
-    assert Budget("--max-shift", 5.0).lost(REFERENCE, after) == pytest.approx(3.4)
+    after = shifted(all=0.5, m0_30=0.034, m15_30=0.9)
+    assert after.agreement is not None and NEAR_BAND in after.agreement.centre_error_m
+    assert shift_cm(ITSELF, after) == pytest.approx(3.4)
+    assert Budget("--max-shift", 5.0).lost(ITSELF, after) == pytest.approx(3.4)
     assert not Budget("--max-shift", 5.0).labelled
 
 
+def test_who_shows_no_near_box_is_off_by_all_of_it() -> None:
+    assert shift_cm(ITSELF, shifted(all=0.5)) == pytest.approx(100 * NEAR_M)
+
+
 @pytest.mark.parametrize(
-    ("after", "said"),
-    [(record(1.0), "no comparison"), (shifted(share=1.0, bands={"45+": (1.0, 1.0)}), "no box within 30 m")],
+    ("before", "said"), [(record(1.0), "no comparison"), (shifted(all=1.0), "no box .* within 30 m")]
 )
-def test_shift_of_what_is_not_there_is_refused(after: Measurement, said: str) -> None:
+def test_shift_of_what_is_not_there_is_refused(before: Measurement, said: str) -> None:
     with pytest.raises(QuantizeError, match=said):
-        shift_cm(after)
+        shift_cm(before, before)
 
 
 def test_the_budgets_unit_is_said_at_each_step() -> None:
     lines: list[str] = []
-    far, near = ({NEAR_BAND: (0.0, mean_m)} for mean_m in (0.08, 0.03))
     result = search_budget(
         lambda given_back: Path(",".join(given_back) or "none"),
-        lambda place: shifted(share=1.0, bands=far if place == Path("none") else near),
-        reference=REFERENCE,
+        lambda place: shifted(m0_30=0.08 if place == Path("none") else 0.03),
+        reference=ITSELF,
         ranking=lambda: ORDER,
         budget=Budget("--max-shift", 5.0),
         tell=lines.append,

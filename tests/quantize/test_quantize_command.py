@@ -237,7 +237,7 @@ def test_a_budget_of_shift_needs_near_boxes(arguments, drives, tmp_path, capsys)
     validation = ["--validation", f"kitti-object:{drives[1]}", "--max-shift", 5]
     assert run(*arguments, "--out", tmp_path / "int8", *validation) == 2
     told = capsys.readouterr().err
-    assert "no box within 30 m" in told.strip().splitlines()[-1]
+    assert "no box of the float model within 30 m" in told.strip().splitlines()[-1]
     assert "layers in float" not in told
     assert not (tmp_path / "int8").exists()
 
