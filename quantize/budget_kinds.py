@@ -120,7 +120,7 @@ KINDS: Final[Mapping[str, _Kind]] = MappingProxyType(
         "--max-drop": _Kind(
             "points lost",
             True,
-            lambda before, after: ap_drop_points(before, after),
+            ap_drop_points,
             "expected points of 0 or more; 0.5 is strict",
         ),
         "--max-disagreement": _Kind(
@@ -132,7 +132,7 @@ KINDS: Final[Mapping[str, _Kind]] = MappingProxyType(
         "--max-shift": _Kind(
             "cm of shift",
             False,
-            lambda before, after: shift_cm(before, after),
+            shift_cm,
             "expected centimetres of 0 or more; 5 is strict",
         ),
     }

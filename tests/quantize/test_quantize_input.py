@@ -217,13 +217,13 @@ def test_a_budget_that_cannot_be_met_keeps_and_names_the_best(
     lost = iter([9.0, 8.0, 8.5, 8.7, 7.0, 5.0, 3.0, *[4.0] * 50])
     known: list[float] = []
 
-    def points(before: object, after: object) -> float:
+    def points(budget: Budget, before: object, after: object) -> float:
         if before is after:
             return 0.0
         known.append(next(lost))
         return known[-1]
 
-    monkeypatch.setattr("quantize.budget_kinds.ap_drop_points", points)
+    monkeypatch.setattr(Budget, "lost", points)
     second = Path(shutil.copytree(tiny_drive, tmp_path / "second"))
     for path in (second / "training" / "image_2").iterdir():
         cv2.imwrite(str(path), cv2.imread(str(path)) // 2)
